@@ -1,0 +1,15 @@
+"""Estimators to compare with: without memory, on Chan's solution, or with adapted noise."""
+
+from difffilter.baselines.adaptive import InnovationScaling
+from difffilter.baselines.chan import ChanLeastSquares, chan
+from difffilter.baselines.chan_ekf import ChanEKF
+from difffilter.baselines.least_squares import TaylorLeastSquares, gauss_newton
+
+__all__ = [
+    "ChanEKF",
+    "ChanLeastSquares",
+    "InnovationScaling",
+    "TaylorLeastSquares",
+    "chan",
+    "gauss_newton",
+]

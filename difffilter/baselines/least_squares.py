@@ -1,0 +1,163 @@
+"""Estimators without memory: each row of a log by itself. Taylor-series least squares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+from difffilter.gauss_newton import Fix, gauss_newton
+from difffilter.log import Log, Start
+from difffilter.motion import AXES
+from difffilter.parameters import Parameter, Values, check_values, declare, published_values
+from difffilter.run import Track
+from difffilter.sensor import Sensor
+from difffilter.start import from_measurements
+from difffilter.weights import Weight, plain
+
+__all__ = ["Snapshot", "TaylorLeastSquares", "gauss_newton"]
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What estimators of the position alone share: parameters, constants and the track.
+
+    Attributes:
+        sensors: the measurement models; channels are theirs, in order.
+        axes: components of the position, the estimator's states.
+        overrides: declarations that replace the sensors' own, by name.
+    """
+
+    sensors: tuple[Sensor, ...]
+    axes: int = 2
+    overrides: Mapping[str, Parameter] = field(default_factory=dict)
+
+    @property
+    def parts(self) -> tuple[Sensor | Weight, ...]:
+        """Components that declare parameters and prepare constants."""
+        return self.sensors
+
+    @property
+    def own(self) -> tuple[Parameter, ...]:
+        """Parameters as the components declare them."""
+        return tuple(p for part in self.parts for p in part.parameters)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the position's components."""
+        return AXES[: self.axes]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, in the order of a log's ``z``."""
+        return tuple(name for sensor in self.sensors for name in sensor.channels)
+
+    @cached_property
+    def declarations(self) -> dict[str, Parameter]:
+        """Every parameter, by name."""
+        own = declare(self.own)
+        unknown = set(self.overrides) - set(own)
+        if unknown:
+            raise InputError(f"{min(unknown)}: no such parameter, expected one of {', '.join(own)}")
+        return declare((own | dict(self.overrides)).values())
+
+    def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
+        """The declared values."""
+        return published_values(self.declarations, dtype)
+
+    def prepare(self, values: Values | None = None) -> Values:
+        """Constants from physical values, the declared ones where missing."""
+        given = check_values(self.declarations, values)
+        dtype = next(iter(given.values())).dtype if given else torch.float64
+        complete = self.published(dtype) | given
+        constants = dict(complete)
+        for part in self.parts:
+            constants.update(part.prepare(complete))
+        return constants
+
+    def estimate(
+        self,
+        log: Log,
+        values: Values | None = None,
+        start: Start | None = None,
+        progress: bool = False,
+    ) -> Track:
+        """Every row by itself: states ``x, y``, deviations from the fit's covariance.
+
+        Mean and deviations are NaN at a row whose channels do not determine a position.
+
+        Args:
+            log: z (T, m) or (T, ..., m); channels as the estimator's.
+            values: physical parameter values, differentiable; the declared ones if missing.
+            start: where each row's iteration starts, if the method iterates.
+            progress: without effect: all rows are computed at once.
+
+        Raises:
+            InputError: other channels, a value that does not fit.
+        """
+        check_channels(log, self.channels)
+        constants = self.prepare(self.published(log.z.dtype) | dict(values or {}))
+        fix = self.fix(log, constants, values, start)
+        return Track(self.states, self.channels, log.time, fix.position, fix.deviations)
+
+    def fix(self, log: Log, constants: Values, values: Values | None, start: Start | None) -> Fix:
+        """Position of every row."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TaylorLeastSquares(Snapshot):
+    """Taylor-series least squares per row (paper 3, baseline), by :func:`gauss_newton`.
+
+    Attributes:
+        sensors: position, range, TDOA or the user's own, any mix.
+        weight: weight function of residuals in sigmas; ``plain`` for least squares.
+        iterations: steps per row.
+
+    Each row starts at the position of ``start``, else of the log's start, else of
+    :func:`difffilter.start.from_measurements`.
+
+    Example:
+        >>> import torch
+        >>> from difffilter.log import Log
+        >>> from difffilter.sensors import Range
+        >>> ranges = Range(stations=[(0, 0), (10, 0), (0, 10)], channels=("a", "b", "c"))
+        >>> log = Log(("a", "b", "c"), torch.zeros(1), torch.tensor([[5.0, 8.062, 6.708]]))
+        >>> TaylorLeastSquares((ranges,)).estimate(log).mean.round(decimals=2)
+        tensor([[3., 4.]])
+    """
+
+    weight: Weight = plain
+    iterations: int = 20
+
+    @property
+    def parts(self) -> tuple[Sensor | Weight, ...]:
+        return (*self.sensors, self.weight)
+
+    def fix(self, log: Log, constants: Values, values: Values | None, start: Start | None) -> Fix:
+        start = start or log.start or from_measurements(self, log, values)
+
+        def weigh(s: Tensor) -> Tensor:
+            return self.weight(s, constants)
+
+        return gauss_newton(
+            self.sensors,
+            constants,
+            log.z,
+            log.inputs,
+            start.mean[..., : self.axes],
+            None if self.weight is plain else weigh,
+            self.iterations,
+        )
+
+
+def check_channels(log: Log, channels: tuple[str, ...]) -> None:
+    """InputError unless the log has just these channels, in this order."""
+    if log.channels != channels:
+        raise InputError(
+            f"log: found channels {', '.join(log.channels)}, expected {', '.join(channels)}"
+        )

@@ -1,0 +1,167 @@
+"""Maps between physical values and the unconstrained numbers that optimisers see."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from difffilter.linalg import semidefinite_cholesky
+
+__all__ = [
+    "Constraint",
+    "Covariance",
+    "Interval",
+    "OrderedPair",
+    "Positive",
+    "Real",
+    "Simplex",
+]
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """Set of admissible values. Subclasses give the two maps and the membership test."""
+
+    def physical(self, free: Tensor) -> Tensor:
+        """Map unconstrained numbers to an admissible value."""
+        raise NotImplementedError
+
+    def free(self, physical: Tensor) -> Tensor:
+        """Inverse of :meth:`physical`."""
+        raise NotImplementedError
+
+    def expected(self) -> str:
+        """What an admissible value is, for messages."""
+        raise NotImplementedError
+
+    def admits(self, physical: Tensor) -> bool:
+        """Whether the value lies in the set (all entries finite as well)."""
+        return bool(torch.isfinite(physical).all()) and self._admits(physical)
+
+    def _admits(self, physical: Tensor) -> bool:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Real(Constraint):
+    """Any finite number; ``scale`` is what the optimiser counts as one unit."""
+
+    scale: float = 1.0
+
+    def physical(self, free: Tensor) -> Tensor:
+        return self.scale * free
+
+    def free(self, physical: Tensor) -> Tensor:
+        return physical / self.scale
+
+    def expected(self) -> str:
+        return "a finite number"
+
+    def _admits(self, physical: Tensor) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class Positive(Constraint):
+    """Above zero, through the exponential: steps are relative, scales stay scales."""
+
+    def physical(self, free: Tensor) -> Tensor:
+        return free.exp()
+
+    def free(self, physical: Tensor) -> Tensor:
+        return physical.log()
+
+    def expected(self) -> str:
+        return "a number above 0"
+
+    def _admits(self, physical: Tensor) -> bool:
+        return bool((physical > 0).all())
+
+
+@dataclass(frozen=True)
+class Interval(Constraint):
+    """Strictly between two bounds, through the logistic function."""
+
+    low: float = 0.0
+    high: float = 1.0
+
+    def physical(self, free: Tensor) -> Tensor:
+        return self.low + (self.high - self.low) * torch.sigmoid(free)
+
+    def free(self, physical: Tensor) -> Tensor:
+        return torch.logit((physical - self.low) / (self.high - self.low))
+
+    def expected(self) -> str:
+        return f"a number between {self.low:g} and {self.high:g}"
+
+    def _admits(self, physical: Tensor) -> bool:
+        return bool(((physical > self.low) & (physical < self.high)).all())
+
+
+@dataclass(frozen=True)
+class OrderedPair(Constraint):
+    """Two numbers 0 < a < b (clipping points), through log a and log(b - a)."""
+
+    def physical(self, free: Tensor) -> Tensor:
+        return free.exp().cumsum(-1)
+
+    def free(self, physical: Tensor) -> Tensor:
+        first, second = physical[..., 0], physical[..., 1]
+        return torch.stack([first.log(), (second - first).log()], dim=-1)
+
+    def expected(self) -> str:
+        return "two numbers [a, b] with 0 < a < b"
+
+    def _admits(self, physical: Tensor) -> bool:
+        if physical.shape != (2,):
+            return False
+        return bool((physical[0] > 0) & (physical[1] > physical[0]))
+
+
+@dataclass(frozen=True)
+class Simplex(Constraint):
+    """Positive numbers that sum to 1, through log ratios to the last one."""
+
+    def physical(self, free: Tensor) -> Tensor:
+        return torch.softmax(torch.nn.functional.pad(free, (0, 1)), dim=-1)
+
+    def free(self, physical: Tensor) -> Tensor:
+        return (physical[..., :-1] / physical[..., -1:]).log()
+
+    def expected(self) -> str:
+        return "two or more positive numbers that sum to 1"
+
+    def _admits(self, physical: Tensor) -> bool:
+        if physical.dim() != 1 or physical.shape[0] < 2:
+            return False
+        return bool((physical > 0).all()) and abs(float(physical.sum()) - 1.0) < 1e-9
+
+
+@dataclass(frozen=True)
+class Covariance(Constraint):
+    """Symmetric positive definite matrix, through its log-Cholesky factor."""
+
+    def physical(self, free: Tensor) -> Tensor:
+        n = (math.isqrt(8 * free.shape[-1] + 1) - 1) // 2
+        rows, cols = torch.tril_indices(n, n)
+        lower = free.new_zeros(n, n).index_put((rows, cols), free)
+        lower = lower.tril(-1) + torch.diag_embed(lower.diagonal(dim1=-2, dim2=-1).exp())
+        return lower @ lower.mT
+
+    def free(self, physical: Tensor) -> Tensor:
+        lower = semidefinite_cholesky(physical)
+        log_diagonal = torch.diag_embed(lower.diagonal(dim1=-2, dim2=-1).log())
+        rows, cols = torch.tril_indices(*physical.shape[-2:])
+        return (lower.tril(-1) + log_diagonal)[..., rows, cols]
+
+    def expected(self) -> str:
+        return "a symmetric positive definite matrix"
+
+    def _admits(self, physical: Tensor) -> bool:
+        if physical.dim() != 2 or physical.shape[0] != physical.shape[1]:
+            return False
+        symmetric = torch.allclose(physical, physical.mT, rtol=1e-9, atol=0.0)
+        return symmetric and bool(torch.linalg.cholesky_ex(physical).info == 0)

@@ -1,0 +1,1 @@
+"""Figures: drawn on matplotlib figures of their own, never on the global one."""

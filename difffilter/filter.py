@@ -1,0 +1,231 @@
+"""A filter as a pure function of one step: predict, linearise, weigh, condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from difffilter.belief import Belief
+from difffilter.condition import Conditioned
+from difffilter.constraints import Interval, Positive
+from difffilter.errors import InputError
+from difffilter.gate import Gate
+from difffilter.motion import Motion
+from difffilter.parameters import (
+    Number,
+    Parameter,
+    Values,
+    as_number,
+    check_values,
+    declare,
+    published_values,
+)
+from difffilter.sensor import Sensor
+from difffilter.weights import Weight, plain
+
+__all__ = ["STANDARDISATIONS", "Adaptation", "Filter", "Linearised"]
+
+STANDARDISATIONS = ("innovation", "noise")
+
+
+class Linearised(NamedTuple):
+    """A predicted belief and measurement, before any weighing.
+
+    Attributes:
+        mean: (..., n) predicted mean; deviations: (..., n, k) with k >= n.
+        innovation: (..., m); 0 where missing.
+        observed: (..., m, k) deviations of the predicted measurement.
+        independent: (..., m) independent noise variance.
+        total: (..., m) diagonal of R.
+    """
+
+    mean: Tensor
+    deviations: Tensor
+    innovation: Tensor
+    observed: Tensor
+    independent: Tensor
+    total: Tensor
+
+
+class Adaptation(Protocol):
+    """A plug-in around predict and condition, with memory carried in the belief.
+
+    Each hook is pure and of static shape, like the step.
+    """
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Declared parameters."""
+
+    def memory(self, mean: Tensor, channels: int) -> dict[str, Tensor]:
+        """Start value of the memory, with the leading dimensions of ``mean``."""
+
+    def before_predict(
+        self, memory: Mapping[str, Tensor], process: Tensor, constants: Values
+    ) -> Tensor:
+        """Adapt the deviations (..., n, q) of the process noise."""
+
+    def before_condition(
+        self,
+        memory: Mapping[str, Tensor],
+        linearised: Linearised,
+        present: Tensor,
+        constants: Values,
+    ) -> tuple[Linearised, Mapping[str, Tensor]]:
+        """Adapt the linearised step; returns it with the new memory."""
+
+    def after_condition(
+        self,
+        memory: Mapping[str, Tensor],
+        linearised: Linearised,
+        conditioned: Conditioned,
+        present: Tensor,
+        constants: Values,
+    ) -> Mapping[str, Tensor]:
+        """New memory, from what the update did."""
+
+
+@dataclass(frozen=True)
+class Filter:
+    """One recursive filter: the recipe. Values of its parameters come from outside.
+
+    Attributes:
+        motion, sensors: the models; channels are those of the sensors, in order.
+        weight: weight function of the measurement rows.
+        standardise: residuals divided by the ``innovation``'s or the ``noise``'s sigma.
+        iterations: 0 weighs the innovation once; n > 0 is the M-EKF (paper 3, eqs. 15-27):
+            start at weight 1, then n reweightings from the residuals of the current
+            estimate, whitened by the noise, the prior fixed throughout.
+        weigh_prior: whether the M-EKF weighs the prediction's residuals too.
+        mad: whether the M-EKF divides residuals by 1.48 times their median absolute
+            deviation (over measurement rows, and prior rows if weighed).
+        gate: chi-square gate on each channel's nominal NIS, or None.
+        adaptation: plug-in between predict and condition, or None.
+        clairvoyant: told of every fault: the log's inputs ``fault.mean`` and
+            ``fault.variance`` (..., m) are taken off the measurement and added to R; an
+            infinite variance deletes the channel. A bound, not a filter to deploy.
+        start_sigma: initial standard deviation of each state (parameter ``start.sigma``),
+            used where a run's start has no covariance; None for no such parameter.
+        overrides: declarations that replace the components' own (published value, source,
+            tuned or not), by name.
+
+    Example:
+        >>> from difffilter import TDOA, ConstantVelocity, Filter, tanh
+        >>> stations = [(0, 0), (1600, 0), (0, 3500), (1600, 3500)]
+        >>> robust = Filter(ConstantVelocity(2), (TDOA(stations=stations, sigma=3.0),), tanh,
+        ...                 iterations=5)
+        >>> sorted(robust.declarations)
+        ['motion.acceleration', 'tanh.ab', 'tdoa.bias', 'tdoa.sigma']
+    """
+
+    motion: Motion
+    sensors: tuple[Sensor, ...]
+    weight: Weight = plain
+    standardise: str = "innovation"
+    iterations: int = 0
+    weigh_prior: bool = False
+    mad: bool = False
+    gate: Gate | None = None
+    adaptation: Adaptation | None = None
+    clairvoyant: bool = False
+    start_sigma: Number | None = None
+    overrides: Mapping[str, Parameter] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.standardise not in STANDARDISATIONS:
+            expected = " or ".join(STANDARDISATIONS)
+            raise InputError(f"standardise: found {self.standardise!r}, expected {expected}")
+        if self.iterations < 0:
+            raise InputError(f"iterations: found {self.iterations}, expected 0 or more")
+        if (self.weigh_prior or self.mad) and not self.iterations:
+            raise InputError("weigh_prior and mad: expected iterations of 1 or more with them")
+        names = self.channels
+        if len(set(names)) != len(names):
+            raise InputError(f"channels: found a name twice in {', '.join(names)}")
+        unknown = set(self.overrides) - set(self._own)
+        if unknown:
+            raise InputError(
+                f"{min(unknown)}: no such parameter, expected one of {', '.join(self._own)}"
+            )
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states."""
+        return self.motion.states
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels, in the order of ``Measurement.z``."""
+        return tuple(name for sensor in self.sensors for name in sensor.channels)
+
+    @cached_property
+    def _own(self) -> dict[str, Parameter]:
+        parts = [self.motion, *self.sensors, self.weight, self.gate, self.adaptation]
+        own = [p for part in parts if part is not None for p in part.parameters]
+        if self.weigh_prior:
+            meaning = "least weight of a prior row"
+            own.append(
+                Parameter("prior.floor", 1e-4, Interval(), source="paper 3", meaning=meaning)
+            )
+        if self.start_sigma is not None:
+            sigma, meaning = as_number(self.start_sigma), "initial standard deviation"
+            own.append(
+                Parameter(
+                    "start.sigma",
+                    sigma,
+                    Positive(),
+                    "m, m/s",
+                    labels=self.states if isinstance(sigma, tuple) else (),
+                    meaning=meaning,
+                )
+            )
+        return declare(own)
+
+    @cached_property
+    def declarations(self) -> dict[str, Parameter]:
+        """Every parameter of the filter, by name."""
+        return declare((self._own | dict(self.overrides)).values())
+
+    def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
+        """The declared values."""
+        return published_values(self.declarations, dtype)
+
+    def with_values(self, values: Values) -> Filter:
+        """The same recipe with other declared values; InputError if one does not fit."""
+        changed = {
+            name: replace(self.declarations[name], value=as_number(value))
+            for name, value in check_values(self.declarations, values).items()
+        }
+        return replace(self, overrides=dict(self.overrides) | changed)
+
+    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Values:
+        """Constants of a run from physical values (the declared ones where missing).
+
+        Args:
+            values: by parameter name, differentiable.
+            temperature: of the soft weights and gates, for training; None for the hard,
+                published forms.
+
+        Raises:
+            InputError: an unknown name, a wrong shape or an inadmissible value.
+        """
+        given = check_values(self.declarations, values)
+        dtype = next(iter(given.values())).dtype if given else torch.float64
+        complete = self.published(dtype) | given
+        constants = dict(complete)
+        parts: tuple[Motion | Sensor | Weight, ...] = (self.motion, *self.sensors, self.weight)
+        for part in parts:
+            constants.update(part.prepare(complete))
+        if temperature is not None:
+            constants["temperature"] = torch.tensor(temperature, dtype=dtype)
+        return constants
+
+    def start(self, mean: Tensor, deviations: Tensor) -> Belief:
+        """Initial belief, with the adaptation's memory at its declared start."""
+        memory = self.adaptation.memory(mean, len(self.channels)) if self.adaptation else {}
+        return Belief(mean, deviations, memory)

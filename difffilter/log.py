@@ -1,0 +1,182 @@
+"""Logs: measurements over time for one or many trajectories, with truth where known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+
+__all__ = ["Log", "Start", "stack_logs"]
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a filter starts.
+
+    Attributes:
+        mean: (..., n).
+        covariance: (..., n, n), or None for the filter's own ``start.sigma``.
+        time: seconds, at or before the first row; None for the first row's time.
+    """
+
+    mean: Tensor
+    covariance: Tensor | None = None
+    time: float | None = None
+
+
+@dataclass(frozen=True)
+class Log:
+    """Rows of measurements; the first dimension is time, ``...`` the trajectories.
+
+    Attributes:
+        channels: names of the m channels.
+        time: (T,) or (T, ...), seconds, non-decreasing.
+        z: (T, ..., m), NaN where a channel is missing.
+        truth: (T, ..., q) or None.
+        truth_states: names of the q true states.
+        inputs: known inputs, each with T first: (T, ..., *).
+        start: prescribed start (simulated logs), or None: start from the measurements.
+        names: one name per trajectory, for messages.
+    """
+
+    channels: tuple[str, ...]
+    time: Tensor
+    z: Tensor
+    truth: Tensor | None = None
+    truth_states: tuple[str, ...] = ()
+    inputs: Mapping[str, Tensor] = field(default_factory=dict)
+    start: Start | None = None
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.z.shape[-1] != len(self.channels):
+            raise InputError(
+                f"log: found {self.z.shape[-1]} columns of measurements, "
+                f"expected {len(self.channels)} channels"
+            )
+        if torch.isinf(self.z).any():
+            raise InputError("log: found an infinite measurement, expected finite or missing")
+        if self.truth is not None and self.truth.shape[-1] != len(self.truth_states):
+            raise InputError("log: truth and truth_states differ in length")
+
+    @property
+    def steps(self) -> int:
+        """Number of rows."""
+        return self.z.shape[0]
+
+    @property
+    def trajectories(self) -> int:
+        """Number of trajectories (1 for a log without that dimension)."""
+        return self.z.shape[1] if self.z.dim() > 2 else 1
+
+    @property
+    def present(self) -> Tensor:
+        """(T, ..., m), whether a channel was measured."""
+        return ~torch.isnan(self.z)
+
+    @property
+    def measured(self) -> Tensor:
+        """(T, ...), whether a row has at least one measurement."""
+        return self.present.any(-1)
+
+    def intervals(self, start: float | None = None) -> Tensor:
+        """dt before each row, (T,) or (T, ...); 0 at the first row without a start time."""
+        first = self.time[:1] if start is None else torch.full_like(self.time[:1], start)
+        dt = torch.diff(torch.cat([first, self.time]), dim=0)
+        if bool((dt < 0).any()):
+            row = (
+                int((dt < 0).flatten(1).any(-1).nonzero()[0])
+                if dt.dim() > 1
+                else int((dt < 0).nonzero()[0])
+            )
+            raise InputError(f"log: time decreases at row {row}, expected non-decreasing times")
+        return dt
+
+    def select(self, index: Sequence[int] | Tensor) -> Log:
+        """The trajectories at ``index`` (a batched log)."""
+        at = torch.as_tensor(index, dtype=torch.long)
+        start = self.start
+        if start is not None:
+            covariance = None if start.covariance is None else start.covariance[at]
+            start = Start(start.mean[at], covariance, start.time)
+        return replace(
+            self,
+            time=self.time if self.time.dim() == 1 else self.time[:, at],
+            z=self.z[:, at],
+            truth=None if self.truth is None else self.truth[:, at],
+            inputs={name: value[:, at] for name, value in self.inputs.items()},
+            start=start,
+            names=tuple(self.names[i] for i in at.tolist()) if self.names else (),
+        )
+
+    def rows(self, first: int, last: int) -> Log:
+        """Rows first..last-1, without the prescribed start unless first is 0."""
+        return replace(
+            self,
+            time=self.time[first:last],
+            z=self.z[first:last],
+            truth=None if self.truth is None else self.truth[first:last],
+            inputs={name: value[first:last] for name, value in self.inputs.items()},
+            start=self.start if first == 0 else None,
+        )
+
+    def to(self, dtype: torch.dtype) -> Log:
+        """The same log in another floating-point precision."""
+        start = self.start
+        if start is not None:
+            covariance = None if start.covariance is None else start.covariance.to(dtype)
+            start = Start(start.mean.to(dtype), covariance, start.time)
+        return replace(
+            self,
+            time=self.time.to(dtype),
+            z=self.z.to(dtype),
+            truth=None if self.truth is None else self.truth.to(dtype),
+            inputs={name: value.to(dtype) for name, value in self.inputs.items()},
+            start=start,
+        )
+
+
+def stack_logs(logs: Sequence[Log]) -> Log:
+    """One batched log of single ones; shorter ones are padded with missing rows.
+
+    Padded rows repeat the last time (dt = 0), so that the belief stays as it is; they have
+    no measurement and NaN truth.
+
+    Raises:
+        InputError: no log, or logs with different channels, truth or inputs.
+    """
+    if not logs:
+        raise InputError("logs: found none, expected at least one")
+    first = logs[0]
+    for log in logs[1:]:
+        if log.channels != first.channels:
+            raise InputError(
+                f"logs: found channels {', '.join(log.channels)} beside {', '.join(first.channels)}"
+            )
+        if log.truth_states != first.truth_states or set(log.inputs) != set(first.inputs):
+            raise InputError("logs: found logs with different truth or input columns")
+    steps = max(log.steps for log in logs)
+
+    def pad(x: Tensor, value: float | None) -> Tensor:
+        missing = steps - x.shape[0]
+        tail = x[-1:].expand(missing, *x.shape[1:])
+        return torch.cat([x, tail if value is None else torch.full_like(tail, value)])
+
+    def each(parts: Sequence[Tensor], value: float | None) -> Tensor:
+        return torch.stack([pad(part, value) for part in parts], dim=1)
+
+    nan = float("nan")
+    truth = [log.truth for log in logs if log.truth is not None]
+    return Log(
+        channels=first.channels,
+        time=each([log.time for log in logs], None),
+        z=each([log.z for log in logs], nan),
+        truth=each(truth, nan) if len(truth) == len(logs) else None,
+        truth_states=first.truth_states,
+        inputs={name: each([log.inputs[name] for log in logs], None) for name in first.inputs},
+        names=tuple(name for log in logs for name in (log.names or ("",))),
+    )

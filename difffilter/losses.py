@@ -1,0 +1,111 @@
+"""Losses for tuning: each is one name and one function of (track, log)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+from difffilter.log import Log
+from difffilter.metrics import nees, nees_states, position_error, scored_rows
+from difffilter.run import Track
+
+__all__ = ["LOSSES", "Loss", "LossContext", "total_loss"]
+
+
+@dataclass(frozen=True)
+class LossContext:
+    """What a loss may need beside track and log.
+
+    Attributes:
+        score: which rows count, as for :func:`difffilter.metrics.scored_rows`.
+        degrees: degrees of freedom of the Student density of ``likelihood``.
+    """
+
+    score: str = "all"
+    degrees: float = 4.0
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A named loss: needs truth or not, and the function."""
+
+    function: Callable[[Track, Log, LossContext], Tensor]
+    needs_truth: bool
+    meaning: str
+
+
+def _position(track: Track, log: Log, context: LossContext) -> Tensor:
+    """log of the mean squared position error: the minimum of the MSE, free of its scale."""
+    rows = scored_rows(log, track, context.score)
+    squared = torch.where(rows, position_error(log, track).nan_to_num(), 0.0)
+    return (squared.sum() / rows.sum()).log()
+
+
+def _likelihood(track: Track, log: Log, context: LossContext) -> Tensor:
+    """Mean negative log density of the nominal innovations, Student's t with few degrees.
+
+    The scale is the nominal sqrt(S_ii): the reweighted one would reward rejecting
+    everything. Heavy tails keep outliers from inflating it.
+    """
+    record = track.record
+    if record is None:
+        raise InputError("likelihood: expected a filter with records")
+    nu = context.degrees
+    variance = record.innovation_variance
+    constant = math.lgamma((nu + 1.0) / 2.0) - math.lgamma(nu / 2.0) - 0.5 * math.log(nu * math.pi)
+    ratio = record.innovation.square() / (nu * variance)
+    density = 0.5 * variance.log() + 0.5 * (nu + 1.0) * ratio.log1p() - constant
+    present = record.present
+    return torch.where(present, density, 0.0).sum() / present.sum().clamp_min(1)
+
+
+def _consistency(track: Track, log: Log, context: LossContext) -> Tensor:
+    """Squared log of the mean NEES per state: zero where errors are as large as claimed."""
+    rows = scored_rows(log, track, context.score)
+    squared = torch.where(rows, nees(log, track), 0.0)
+    per_state = squared.sum() / rows.sum() / nees_states(log, track)
+    return per_state.log().square()
+
+
+def _innovation_consistency(track: Track, log: Log, context: LossContext) -> Tensor:
+    """Squared log of the mean nominal NIS per present channel. Needs no truth."""
+    record = track.record
+    if record is None:
+        raise InputError("innovation-consistency: expected a filter with records")
+    return (record.nis.sum() / record.present.sum().clamp_min(1)).log().square()
+
+
+#: Every loss by name.
+LOSSES: Mapping[str, Loss] = {
+    "position": Loss(_position, True, "log of the mean squared position error"),
+    "likelihood": Loss(_likelihood, False, "robust negative log-likelihood of innovations"),
+    "consistency": Loss(_consistency, True, "squared log of the mean NEES per state"),
+    "innovation-consistency": Loss(
+        _innovation_consistency, False, "squared log of the mean NIS per channel"
+    ),
+}
+
+
+def total_loss(
+    weights: Mapping[str, float], track: Track, log: Log, context: LossContext
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Weighted sum of the named losses, and each term before weighting.
+
+    Raises:
+        InputError: an unknown name, or truth needed that the log does not have.
+    """
+    terms = {}
+    for name in weights:
+        if name not in LOSSES:
+            raise InputError(f"loss: found {name!r}, expected one of {', '.join(LOSSES)}")
+        if LOSSES[name].needs_truth and log.truth is None:
+            free = ", ".join(n for n, loss in LOSSES.items() if not loss.needs_truth)
+            raise InputError(f"loss {name}: needs truth columns, found none; without: {free}")
+        terms[name] = LOSSES[name].function(track, log, context)
+    total = sum((weights[name] * term for name, term in terms.items()), torch.zeros(()))
+    return torch.as_tensor(total), terms

@@ -1,0 +1,162 @@
+"""Errors and consistency of estimates: folds over tracks, logs and records."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+from difffilter.log import Log
+from difffilter.run import Track
+from difffilter.seeds import stream
+
+__all__ = [
+    "bootstrap_interval",
+    "nees",
+    "nis_per_channel",
+    "paired_ratio",
+    "position_error",
+    "rejected",
+    "rmse",
+    "scored_rows",
+]
+
+
+def _position_states(log: Log, track: Track) -> list[str]:
+    names = [name for name in log.truth_states if name in track.states and not name.startswith("v")]
+    if log.truth is None or not names:
+        raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
+    return names
+
+
+def _difference(log: Log, track: Track, names: list[str]) -> Tensor:
+    assert log.truth is not None
+    columns = [log.truth_states.index(name) for name in names]
+    return track.mean[..., track.named(names)] - log.truth[..., columns]
+
+
+def position_error(log: Log, track: Track) -> Tensor:
+    """(T, ...), squared distance of the estimated to the true position, m^2."""
+    return _difference(log, track, _position_states(log, track)).square().sum(-1)
+
+
+def scored_rows(log: Log, track: Track, score: str = "all") -> Tensor:
+    """(T, ...), rows that count: those with truth and an estimate, and a measurement.
+
+    Args:
+        score: ``all`` rows, or only those ``measured`` by at least one channel. Rows that
+            only pad a shorter log have no truth and never count.
+    """
+    if log.truth is None:
+        raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
+    rows = torch.isfinite(log.truth).all(-1) & torch.isfinite(track.mean).all(-1)
+    return rows & log.measured if score == "measured" else rows
+
+
+def rmse(log: Log, track: Track, score: str = "all") -> Tensor:
+    """Position root mean square error over scored rows of all trajectories, m."""
+    rows = scored_rows(log, track, score)
+    return position_error(log, track)[rows].mean().sqrt()
+
+
+def nees(log: Log, track: Track, per_position: bool = False) -> Tensor:
+    """(T, ...), normalised estimation error squared e^T P^-1 e over the true states.
+
+    Divide by the number of those states for the NEES per state, expected 1.
+
+    Args:
+        per_position: position states alone.
+
+    Raises:
+        InputError: no truth.
+        torch.linalg.LinAlgError: a covariance of these states is singular.
+    """
+    names = (
+        _position_states(log, track)
+        if per_position
+        else [name for name in log.truth_states if name in track.states]
+    )
+    error = torch.nan_to_num(_difference(log, track, names))
+    deviations = track.deviations[..., track.named(names), :]
+    covariance = deviations @ deviations.mT
+    # Where there is no estimate (NaN rows, never scored) any regular matrix will do.
+    known = torch.isfinite(covariance).all(-1).all(-1)[..., None, None]
+    identity = torch.eye(len(names), dtype=covariance.dtype)
+    covariance = torch.where(known, covariance, identity)
+    white = torch.linalg.solve_triangular(
+        torch.linalg.cholesky(covariance), error.unsqueeze(-1), upper=False
+    )
+    squared: Tensor = white.squeeze(-1).square().sum(-1)
+    return squared
+
+
+def nees_states(log: Log, track: Track, per_position: bool = False) -> int:
+    """Number of states that :func:`nees` covers."""
+    if per_position:
+        return len(_position_states(log, track))
+    return len([name for name in log.truth_states if name in track.states])
+
+
+def nis_per_channel(track: Track) -> Tensor:
+    """Mean nominal NIS per present channel over all rows, expected 1; NaN without records."""
+    if track.record is None:
+        return torch.tensor(float("nan"))
+    count = track.record.present.sum()
+    return track.record.nis.sum() / count.clamp_min(1)
+
+
+def rejected(track: Track, below: float = 0.1) -> dict[str, float]:
+    """Share of each channel's present measurements with a weight below ``below``."""
+    if track.record is None:
+        return {}
+    present = track.record.present.flatten(0, -2)
+    low = (track.record.weight.flatten(0, -2) < below) & present
+    share = low.sum(0) / present.sum(0).clamp_min(1)
+    return dict(zip(track.channels, share.tolist(), strict=True))
+
+
+def bootstrap_indices(count: int, draws: int, seed: int) -> Tensor:
+    """(draws, count) indices of trajectories, with replacement."""
+    return torch.randint(count, (draws, count), generator=stream(seed, "bootstrap"))
+
+
+def bootstrap_interval(
+    squared: Tensor, rows: Tensor, draws: int = 2000, seed: int = 0
+) -> tuple[float, float]:
+    """95 % interval of the RMSE from resampled trajectories.
+
+    Args:
+        squared: (T, B) squared errors; rows: (T, B) which count.
+    """
+    total, count = _per_trajectory(squared, rows)
+    at = bootstrap_indices(total.shape[0], draws, seed)
+    values = (total[at].sum(1) / count[at].sum(1)).sqrt()
+    return _quantiles(values)
+
+
+def paired_ratio(
+    squared: Tensor,
+    reference: Tensor,
+    rows: Tensor,
+    draws: int = 2000,
+    seed: int = 0,
+) -> tuple[float, float, float]:
+    """RMSE divided by a reference's RMSE on the same rows: value and 95 % interval.
+
+    The same resampled trajectories serve both, so that what they share cancels.
+    """
+    total, _ = _per_trajectory(squared, rows)
+    base, _ = _per_trajectory(reference, rows)
+    at = bootstrap_indices(total.shape[0], draws, seed)
+    values = (total[at].sum(1) / base[at].sum(1)).sqrt()
+    return (float((total.sum() / base.sum()).sqrt()), *_quantiles(values))
+
+
+def _per_trajectory(squared: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+    squared = torch.where(rows, squared, 0.0)
+    return squared.sum(0).reshape(-1), rows.sum(0).reshape(-1)
+
+
+def _quantiles(values: Tensor) -> tuple[float, float]:
+    low, high = torch.quantile(values, torch.tensor([0.025, 0.975], dtype=values.dtype)).tolist()
+    return low, high

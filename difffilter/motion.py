@@ -1,0 +1,166 @@
+"""Motion models: how a state moves, and the deviations that process noise adds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from difffilter.constraints import Covariance, Positive
+from difffilter.errors import InputError
+from difffilter.linalg import semidefinite_cholesky
+from difffilter.linearise import jacobian_times
+from difffilter.parameters import Number, Parameter, Values, as_number
+
+__all__ = ["AXES", "NOISES", "ConstantVelocity", "FunctionMotion", "Motion"]
+
+AXES = ("x", "y", "z")
+NOISES = ("discrete", "continuous")
+Inputs = Mapping[str, Tensor]
+
+
+class Motion(Protocol):
+    """What a filter asks of a motion model."""
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the n states."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Declared parameters."""
+
+    def prepare(self, values: Values) -> dict[str, Tensor]:
+        """Constants of a run, from the physical values."""
+
+    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+        """f(m): (..., n) -> (..., n)."""
+
+    def propagate(
+        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Values
+    ) -> Tensor:
+        """F X with F the Jacobian of the transition at the mean: (..., n, k)."""
+
+    def noise(self, dt: Tensor, constants: Values) -> Tensor:
+        """G L_Q, deviations of the process noise: (..., n, q)."""
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """Constant velocity driven by a random acceleration, in 1 to 3 axes (or more).
+
+    States are the positions, then the velocities. Per axis, with acceleration noise q:
+
+    * ``discrete``: the acceleration is constant within a step, G = [dt^2/2, dt] (paper 3,
+      eq. 8; paper 1): deviations G q, q in m/s^2;
+    * ``continuous``: white acceleration of density q^2, q in m/s^1.5 (paper 2):
+      Q = q^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]].
+
+    The parameter ``motion.acceleration`` is a scale (one number), a diagonal (one per
+    axis) or a full covariance of the acceleration (axes x axes).
+    """
+
+    axes: int = 2
+    noise_kind: str = "discrete"
+    acceleration: Number = 1.0
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.noise_kind not in NOISES:
+            expected = " or ".join(NOISES)
+            raise InputError(f"motion noise: found {self.noise_kind!r}, expected {expected}")
+        if self.axes < 1 or (self.axes > len(AXES) and len(self.names) != self.axes):
+            raise InputError(f"motion axes: found {self.axes}, expected 1 to {len(AXES)}")
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        names = self.names or AXES[: self.axes]
+        return (*names, *(f"v{name}" for name in names))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        value = as_number(self.acceleration)
+        shape = torch.tensor(value).shape
+        if shape not in ((), (self.axes,), (self.axes, self.axes)):
+            raise InputError(
+                f"motion.acceleration: found shape {list(shape)}, expected one number, "
+                f"{self.axes} numbers or a {self.axes} x {self.axes} covariance"
+            )
+        unit = "m/s^2" if self.noise_kind == "discrete" else "m/s^1.5"
+        full = len(shape) == 2
+        return (
+            Parameter(
+                "motion.acceleration",
+                value,
+                Covariance() if full else Positive(),
+                f"({unit})^2" if full else unit,
+                labels=(self.names or AXES[: self.axes]) if len(shape) == 1 else (),
+                meaning="process noise: covariance"
+                if full
+                else "process noise: standard deviation",
+            ),
+        )
+
+    def prepare(self, values: Values) -> dict[str, Tensor]:
+        value = values["motion.acceleration"]
+        if value.dim() == 2:
+            factor = semidefinite_cholesky(value)
+        else:
+            factor = torch.diag_embed(value.expand(self.axes))
+        return {"motion.factor": factor}
+
+    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+        position, velocity = mean[..., : self.axes], mean[..., self.axes :]
+        return torch.cat([position + dt.unsqueeze(-1) * velocity, velocity], dim=-1)
+
+    def propagate(
+        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Values
+    ) -> Tensor:
+        position, velocity = deviations[..., : self.axes, :], deviations[..., self.axes :, :]
+        return torch.cat([position + dt[..., None, None] * velocity, velocity], dim=-2)
+
+    def noise(self, dt: Tensor, constants: Values) -> Tensor:
+        factor, step = constants["motion.factor"], dt[..., None, None]
+        if self.noise_kind == "discrete":
+            return torch.cat([0.5 * step.square() * factor, step * factor], dim=-2)
+        # Cholesky factor of the continuous Q: [[dt^1.5/sqrt 3, 0], [sqrt(3 dt)/2, sqrt(dt)/2]]
+        root = step.sqrt() * factor
+        position = torch.cat([step * root / 3**0.5, torch.zeros_like(root)], dim=-1)
+        velocity = torch.cat([3**0.5 / 2 * root, 0.5 * root], dim=-1)
+        return torch.cat([position, velocity], dim=-2)
+
+
+@dataclass(frozen=True)
+class FunctionMotion:
+    """A user's motion model: torch functions for the transition and the process noise.
+
+    Attributes:
+        states: names of the n states.
+        function: (state (..., n), dt, inputs, values) -> (..., n); any leading dimensions.
+        noise_function: (dt, values) -> deviations (..., n, q) of the process noise.
+        parameters: declarations of the values that the two functions read.
+    """
+
+    states: tuple[str, ...]
+    function: Callable[[Tensor, Tensor, Inputs, Values], Tensor]
+    noise_function: Callable[[Tensor, Values], Tensor]
+    parameters: tuple[Parameter, ...] = field(default=())
+
+    def prepare(self, values: Values) -> dict[str, Tensor]:
+        return {p.name: values[p.name] for p in self.parameters}
+
+    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+        return self.function(mean, dt, inputs, constants)
+
+    def propagate(
+        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Values
+    ) -> Tensor:
+        return jacobian_times(
+            lambda state: self.function(state, dt, inputs, constants), mean, deviations
+        )
+
+    def noise(self, dt: Tensor, constants: Values) -> Tensor:
+        return self.noise_function(dt, constants)

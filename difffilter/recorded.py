@@ -1,0 +1,52 @@
+"""Recorded logs of a scenario: files to one batched log, with each run's own geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from difffilter.log import Log, stack_logs
+from difffilter.logfile import read_log
+from difffilter.scenario.scenario import Scenario
+from difffilter.sensors import Range
+
+__all__ = ["load_logs", "scenario_of_run"]
+
+
+def scenario_of_run(scenario: Scenario, run: str) -> Scenario:
+    """The scenario with the overrides of ``[runs.RUN]``; itself where there are none."""
+    if run not in scenario.runs:
+        return scenario
+    return scenario.with_overrides(scenario.runs[run])
+
+
+def load_logs(scenario: Scenario, paths: Sequence[str | Path], run: str | None = None) -> Log:
+    """Read log files and stack them; station positions become inputs, since runs differ.
+
+    Args:
+        scenario: names the channels, the input columns and, in ``[runs]``, what differs.
+        paths: CSV files; the stem of each names its run.
+        run: the run whose overrides apply to all files, in place of their stems.
+
+    Returns:
+        Log with z (T, B, m), padded to the longest, and inputs ``NAME.stations``
+        (T, B, stations, coordinates) of every sensor with stations.
+
+    Raises:
+        LogError: a file that does not fit, with its line; InputError: other mismatches.
+    """
+    return stack_logs([_load(scenario, Path(path), run) for path in paths])
+
+
+def _load(scenario: Scenario, path: Path, run: str | None) -> Log:
+    own = scenario_of_run(scenario, run or path.stem)
+    log = read_log(path, own.channels, own.inputs)
+    inputs = dict(log.inputs)
+    for sensor in own.sensors.values():
+        if isinstance(sensor.model, Range):
+            stations = torch.tensor(sensor.model.stations, dtype=log.z.dtype)
+            inputs[f"{sensor.model.name}.stations"] = stations.expand(log.steps, -1, -1)
+    return replace(log, inputs=inputs)

@@ -1,0 +1,167 @@
+"""Run a filter over a log: the time loop, for one trajectory or a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from difffilter.belief import Belief, Measurement, Record, belief
+from difffilter.errors import InputError, NonFiniteError
+from difffilter.filter import Filter
+from difffilter.log import Log, Start
+from difffilter.parameters import Values
+from difffilter.step import step
+
+__all__ = ["Track", "run", "start_belief"]
+
+
+@dataclass(frozen=True)
+class Track:
+    """Estimates over time.
+
+    Attributes:
+        states, channels: names.
+        time: (T,) or (T, ...).
+        mean: (T, ..., n); deviations: (T, ..., n, k), P = X X^T.
+        record: the steps' records stacked along time; None for estimators without one.
+        final: belief after the last row; None for estimators without one.
+    """
+
+    states: tuple[str, ...]
+    channels: tuple[str, ...]
+    time: Tensor
+    mean: Tensor
+    deviations: Tensor
+    record: Record | None = None
+    final: Belief | None = None
+
+    @property
+    def covariance(self) -> Tensor:
+        """(T, ..., n, n)."""
+        return self.deviations @ self.deviations.mT
+
+    @property
+    def std(self) -> Tensor:
+        """(T, ..., n), standard deviation of each state."""
+        return self.deviations.square().sum(-1).sqrt()
+
+    def named(self, names: Sequence[str]) -> list[int]:
+        """Index of each named state."""
+        missing = [name for name in names if name not in self.states]
+        if missing:
+            raise InputError(
+                f"state: found {missing[0]!r}, expected one of {', '.join(self.states)}"
+            )
+        return [self.states.index(name) for name in names]
+
+
+def start_belief(filter: Filter, constants: Values, start: Start) -> Belief:
+    """Belief at the start; the filter's ``start.sigma`` where no covariance is given."""
+    mean = start.mean
+    if start.covariance is not None:
+        given = belief(mean, start.covariance)
+        return filter.start(given.mean, given.deviations)
+    if "start.sigma" not in constants:
+        raise InputError("start: found no covariance, expected one, or a filter with start.sigma")
+    n = mean.shape[-1]
+    deviations = torch.diag_embed(constants["start.sigma"].expand(n))
+    return filter.start(mean, deviations.expand(*mean.shape[:-1], n, n))
+
+
+def run(
+    filter: Filter,
+    log: Log,
+    values: Values | None = None,
+    start: Start | Belief | None = None,
+    *,
+    temperature: float | None = None,
+    progress: bool = False,
+) -> Track:
+    """Run the filter over a log, all trajectories at once.
+
+    Each row: predict over the time since the row before, then condition on the present
+    channels. A row without any channel is prediction alone.
+
+    Args:
+        filter: the recipe.
+        log: z (T, m) for one trajectory or (T, B, m); channels as the filter's.
+        values: physical parameter values, differentiable; the declared ones if missing.
+        start: initial mean and covariance, or a belief at the first row's time minus its
+            dt; the log's own if None.
+        temperature: None runs the frozen, hard form.
+        progress: show a bar if it takes over two seconds.
+
+    Raises:
+        InputError: channels or shapes that do not fit, no start.
+        NonFiniteError: names the first trajectory, step and state or channel.
+    """
+    if log.channels != filter.channels:
+        raise InputError(
+            f"log: found channels {', '.join(log.channels)}, expected {', '.join(filter.channels)}"
+        )
+    values = dict(values or {})
+    values = filter.published(log.z.dtype) | values
+    constants = filter.prepare(values, temperature)
+    start = start if start is not None else log.start
+    if start is None:
+        raise InputError("start: found none, expected an initial mean (see from_measurements)")
+    at = None if isinstance(start, Belief) else start.time
+    current = start if isinstance(start, Belief) else start_belief(filter, constants, start)
+    current = _fit(current, log)
+    intervals = log.intervals(at)
+    means, deviations, records = [], [], []
+    for t in tqdm(range(log.steps), desc="filter", unit="step", delay=2.0, disable=not progress):
+        inputs = {name: value[t] for name, value in log.inputs.items()}
+        row = Measurement(log.z[t], intervals[t], inputs)
+        current, record = step(filter, constants, current, row)
+        means.append(current.mean)
+        deviations.append(current.deviations)
+        records.append(record)
+    track = Track(
+        filter.states,
+        filter.channels,
+        log.time,
+        torch.stack(means),
+        torch.stack(deviations),
+        Record(*(torch.stack(field) for field in zip(*records, strict=True))),
+        current,
+    )
+    check_finite(track)
+    return track
+
+
+def _fit(start: Belief, log: Log) -> Belief:
+    """Expand a single start over the log's trajectories."""
+    lead = log.z.shape[1:-1]
+    n = start.mean.shape[-1]
+    try:
+        mean = start.mean.expand(*lead, n)
+    except RuntimeError:
+        raise InputError(
+            f"start: found mean of shape {list(start.mean.shape)}, expected {[*lead, n]}"
+        ) from None
+    return Belief(mean, start.deviations.expand(*lead, n, -1), start.memory)
+
+
+def check_finite(track: Track) -> None:
+    """Raise NonFiniteError at the first step whose belief or innovation is not finite."""
+    checks: list[tuple[str, Tensor, tuple[str, ...]]] = [
+        ("mean", track.mean, track.states),
+        ("covariance", track.deviations.sum(-1), track.states),
+    ]
+    if track.record is not None:
+        checks.insert(0, ("innovation", track.record.innovation, track.channels))
+    worst: tuple[int, NonFiniteError] | None = None
+    for what, tensor, names in checks:
+        bad = ~torch.isfinite(tensor.detach())
+        if bool(bad.any()):
+            where = bad.reshape(bad.shape[0], -1, bad.shape[-1]).nonzero()[0].tolist()
+            if worst is None or where[0] < worst[0]:
+                error = NonFiniteError(what, where[1], where[0], names[where[2]])
+                worst = (where[0], error)
+    if worst is not None:
+        raise worst[1]

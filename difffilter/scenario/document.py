@@ -1,0 +1,142 @@
+"""Scenario files: find, read, inherit, override."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from difffilter.errors import InputError
+from difffilter.files import data_folder
+
+__all__ = ["SCHEMA", "apply_overrides", "parse_override", "read_document", "scenario_names"]
+
+#: Version of the scenario schema that this library reads.
+SCHEMA = 1
+
+
+def scenario_names() -> list[str]:
+    """Names of the scenarios that come with the package."""
+    return sorted(path.stem for path in data_folder("scenarios").glob("*.toml"))
+
+
+def find_document(name: str | Path) -> Path:
+    """Path of a scenario by name, or of the user's own .toml file."""
+    path = Path(name)
+    if path.suffix == ".toml":
+        if not path.is_file():
+            raise InputError(f"{path}: found no such file, expected a scenario file")
+        return path
+    path = data_folder("scenarios") / f"{name}.toml"
+    if not path.is_file():
+        known = scenario_names()
+        close = difflib.get_close_matches(str(name), known, n=1)
+        hint = f"; did you mean {close[0]}?" if close else ""
+        raise InputError(
+            f"scenario: found {str(name)!r}, expected one of {', '.join(known)} "
+            f"or a path to a .toml file{hint}"
+        )
+    return path
+
+
+def read_document(name: str | Path) -> tuple[dict[str, Any], Path]:
+    """The parsed scenario with everything that it inherits merged in, and its path.
+
+    Raises:
+        InputError: no such scenario, unreadable or malformed TOML, a wrong schema version,
+            or an ``extends`` that goes round in a circle.
+    """
+    path = find_document(name)
+    seen: list[Path] = []
+    layers: list[dict[str, Any]] = []
+    current: Path | None = path
+    while current is not None:
+        if current.resolve() in seen:
+            raise InputError(f"{path}: extends: found a circle, expected a chain of files")
+        seen.append(current.resolve())
+        layer = _parse(current)
+        layers.append(layer)
+        parent = layer.pop("extends", None)
+        if parent is None:
+            current = None
+        elif not isinstance(parent, str):
+            raise InputError(f"{current}: extends: found {parent!r}, expected a name or a path")
+        else:
+            current = _parent(current, parent)
+    merged: dict[str, Any] = {}
+    for layer in reversed(layers):
+        merged = _merge(merged, layer)
+    return merged, path
+
+
+def _parent(child: Path, name: str) -> Path:
+    if name.endswith(".toml"):
+        return find_document(child.parent / name)
+    return find_document(name)
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+    if data.get("schema") != SCHEMA:
+        raise InputError(f"{path}: schema: found {data.get('schema')!r}, expected {SCHEMA}")
+    return data
+
+
+def _merge(base: Mapping[str, Any], layer: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in layer.items():
+        if isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = _merge(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def parse_override(text: str) -> tuple[str, Any]:
+    """``key.path=value`` to the path and the value, read as TOML (else as plain text)."""
+    key, separator, value = text.partition("=")
+    key = key.strip()
+    if not separator or not key:
+        raise InputError(f"--set: found {text!r}, expected key.path=value")
+    try:
+        return key, tomllib.loads(f"value = {value.strip()}")["value"]
+    except tomllib.TOMLDecodeError:
+        return key, value.strip()
+
+
+def apply_overrides(document: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """A copy of the document with each dotted path set; the schema checks the result."""
+    result = copy.deepcopy(document)
+    for path, value in overrides.items():
+        table: Any = result
+        keys = path.split(".")
+        for i, key in enumerate(keys[:-1]):
+            table = _enter(table, key, ".".join(keys[: i + 1]))
+        if isinstance(table, list):
+            _enter(table, keys[-1], path)
+            table[int(keys[-1])] = value
+        elif isinstance(table, dict):
+            table[keys[-1]] = value
+        else:
+            raise InputError(f"{path}: found a value at its parent, expected a table")
+    return result
+
+
+def _enter(table: Any, key: str, path: str) -> Any:
+    if isinstance(table, list):
+        if not key.isdigit() or int(key) >= len(table):
+            raise InputError(f"{path}: found index {key!r}, expected 0 to {len(table) - 1}")
+        return table[int(key)]
+    if not isinstance(table, dict):
+        raise InputError(f"{path}: found a value at its parent, expected a table")
+    return table.setdefault(key, {})

@@ -1,0 +1,248 @@
+"""A scenario: the world, the sensors and their faults, the systems, what to tune."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from difffilter.errors import InputError
+from difffilter.parameters import Parameter
+from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
+from difffilter.scenario.faults import Fault, read_fault
+from difffilter.scenario.sensing import SensorSpec, read_sensor
+from difffilter.scenario.systems import (
+    MotionSpec,
+    ParameterSpec,
+    System,
+    SystemSpec,
+    build_system,
+    read_motion,
+    read_parameters,
+    read_system,
+)
+from difffilter.scenario.table import Table
+from difffilter.scenario.tuning import read_tuning
+from difffilter.scenario.world import World, read_world
+from difffilter.tune.settings import TuneSettings
+
+__all__ = ["Scenario", "Scene", "StartSpec", "load_scenario"]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A named stretch of a trajectory, for errors per scene: first <= k <= last."""
+
+    name: str
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class StartSpec:
+    """How trajectories start.
+
+    Attributes:
+        kind: ``truth`` (simulation only: truth plus normal errors) or ``measurements``.
+        position_sigma, velocity_sigma: standard deviation of those errors, m and m/s.
+        rows: rows that a start from measurements reads.
+    """
+
+    kind: str
+    position_sigma: float
+    velocity_sigma: float
+    rows: int
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A result that somebody else published, for tables: not produced by this library."""
+
+    run: str
+    system: str
+    rmse: float
+    source: str
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Everything that a scenario file says, validated.
+
+    Attributes:
+        document: the file's contents with inheritance and overrides applied.
+        world: None for a scenario of recorded logs.
+        score: ``all`` rows, or rows ``measured`` by at least one channel.
+        runs: overrides for recorded runs, by the log file's stem.
+    """
+
+    name: str
+    title: str
+    source: str
+    notes: tuple[str, ...]
+    path: Path
+    document: Mapping[str, Any]
+    axes: int
+    world: World | None
+    sensors: Mapping[str, SensorSpec]
+    faults: Mapping[str, Fault]
+    start: StartSpec
+    motion: MotionSpec
+    parameters: Mapping[str, ParameterSpec]
+    systems: Mapping[str, SystemSpec]
+    tuning: TuneSettings
+    scenes: tuple[Scene, ...]
+    score: str
+    inputs: tuple[str, ...]
+    runs: Mapping[str, Mapping[str, Any]]
+    references: tuple[Reference, ...]
+
+    def system(self, name: str | None = None) -> System:
+        """A system by name; the one to tune if no name is given.
+
+        Raises:
+            InputError: no such system, or a recipe that does not fit together.
+        """
+        name = name or self.tuning.system
+        if name not in self.systems:
+            raise InputError(f"system: found {name!r}, expected one of {', '.join(self.systems)}")
+        return build_system(
+            self.systems[name], self.axes, self.motion, self.sensors, self.parameters
+        )
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels of all sensors, in order."""
+        return tuple(c for sensor in self.sensors.values() for c in sensor.model.channels)
+
+    def declarations(self) -> dict[str, Parameter]:
+        """Every parameter of every system, by name."""
+        found: dict[str, Parameter] = {}
+        for name in self.systems:
+            for parameter in self.system(name).declarations.values():
+                found.setdefault(parameter.name, parameter)
+        return found
+
+    def with_overrides(self, overrides: Mapping[str, Any]) -> Scenario:
+        """The same scenario with dotted keys overridden, checked like the file itself."""
+        return read_scenario(apply_overrides(dict(self.document), overrides), self.path)
+
+
+def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Load a scenario by name, or from the user's own .toml file.
+
+    Args:
+        name: as ``difffilter scenarios`` lists it, or a path that ends in .toml.
+        overrides: dotted keys and values, for example ``{"faults.nlos.scale": 50.0}``.
+
+    Raises:
+        InputError: names the file, the key, what was found and what was expected.
+
+    Example:
+        >>> from difffilter import load_scenario
+        >>> load_scenario("airport-mlat", {"faults.nlos.scale": 50.0}).faults["nlos"].scale
+        14.9896229
+    """
+    document, path = read_document(name)
+    return read_scenario(apply_overrides(document, overrides or {}), path)
+
+
+def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
+    """Validate a parsed scenario."""
+    top = Table(document, str(path))
+    if top.integer("schema") != SCHEMA:
+        top.fail("schema", str(SCHEMA))
+    world = read_world(top.table("world")) if "world" in top else None
+    axes = world.axes if world else top.integer("axes", 2, low=1)
+    sensors = {
+        name: read_sensor(name, part, axes) for name, part in top.table("sensors").children()
+    }
+    if not sensors:
+        top.fail("sensors", "one sensor or more")
+    channels = [c for sensor in sensors.values() for c in sensor.model.channels]
+    if len(set(channels)) != len(channels):
+        top.fail("sensors", "no channel name twice")
+    parts = top.table("faults", optional=True).children()
+    faults = {name: read_fault(name, part, channels) for name, part in parts}
+    if faults and world is None:
+        top.fail("faults", "none in a scenario without [world]")
+    systems = {
+        name: read_system(name, part, tuple(sensors))
+        for name, part in top.table("systems").children()
+    }
+    if not systems:
+        top.fail("systems", "one system or more")
+    scenario = Scenario(
+        name=top.text("name"),
+        title=top.text("title"),
+        source=top.text("source", ""),
+        notes=top.names("notes", ()),
+        path=path,
+        document=document,
+        axes=axes,
+        world=world,
+        sensors=sensors,
+        faults=faults,
+        start=_read_start(top.table("start", optional=True), world is not None),
+        motion=read_motion(top.table("motion", optional=True)),
+        parameters=read_parameters(top.table("parameters")),
+        systems=systems,
+        tuning=read_tuning(top.table("tuning", optional=True), tuple(systems)),
+        scenes=tuple(_read_scene(part) for part in top.tables("scenes")),
+        score=top.text("score", "all", choices=("all", "measured")),
+        inputs=top.names("inputs", ()),
+        runs={name: part.data for name, part in top.table("runs", optional=True).children()},
+        references=tuple(_read_reference(part) for part in top.tables("references")),
+    )
+    top.finish()
+    _check_parameters(scenario)
+    return scenario
+
+
+def _read_start(table: Table, simulated: bool) -> StartSpec:
+    kind = table.text(
+        "kind", "truth" if simulated else "measurements", choices=("truth", "measurements")
+    )
+    if kind == "truth" and not simulated:
+        table.fail("kind", "'measurements' in a scenario without [world]")
+    spec = StartSpec(
+        kind,
+        table.number("position_sigma", 0.0, low=0.0),
+        table.number("velocity_sigma", 0.0, low=0.0),
+        table.integer("rows", 10, low=1),
+    )
+    table.finish()
+    return spec
+
+
+def _read_scene(table: Table) -> Scene:
+    scene = Scene(table.text("name"), table.integer("first", low=1), table.integer("last", low=1))
+    table.finish()
+    return scene
+
+
+def _read_reference(table: Table) -> Reference:
+    reference = Reference(
+        table.text("run", ""),
+        table.text("system"),
+        table.number("rmse", above=0.0),
+        table.text("source"),
+    )
+    table.finish()
+    return reference
+
+
+def _check_parameters(scenario: Scenario) -> None:
+    """Every system builds, and every parameter belongs to one of them."""
+    known = scenario.declarations()
+    for name, spec in scenario.parameters.items():
+        if name not in known:
+            raise InputError(
+                f"{spec.where}: no system has such a parameter, "
+                f"expected one of {', '.join(sorted(known))}"
+            )
+    for name, run in scenario.runs.items():
+        try:
+            apply_overrides(dict(scenario.document), run)
+        except InputError as error:
+            raise InputError(f"{scenario.path}: runs.{name}: {error}") from None

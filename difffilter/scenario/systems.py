@@ -1,0 +1,210 @@
+"""The systems of a scenario (filters and baselines) and the values of their parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from difffilter.baselines.adaptive import InnovationScaling
+from difffilter.baselines.chan import ChanLeastSquares
+from difffilter.baselines.chan_ekf import ChanEKF
+from difffilter.baselines.least_squares import TaylorLeastSquares
+from difffilter.errors import InputError
+from difffilter.filter import STANDARDISATIONS, Filter
+from difffilter.gate import ACTIONS, Gate
+from difffilter.motion import NOISES, ConstantVelocity
+from difffilter.parameters import Number, Parameter
+from difffilter.scenario.sensing import SensorSpec
+from difffilter.scenario.table import UNITS, Table
+from difffilter.sensors import PositionSensor
+from difffilter.weights import WEIGHTS, weight_named
+
+__all__ = ["MotionSpec", "ParameterSpec", "System", "SystemSpec", "build_system", "read_system"]
+
+ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf")
+ADAPTATIONS = ("innovation-scaling",)
+
+#: What a scenario calls a system: a recursive filter, or a baseline estimator.
+System = Filter | TaylorLeastSquares | ChanLeastSquares | ChanEKF
+
+
+@dataclass(frozen=True)
+class ParameterSpec:
+    """One entry of ``[parameters]``: published value and its unit (SI), source, tuned, prior."""
+
+    where: str
+    value: Number
+    unit: str
+    source: str
+    tuned: bool
+    prior: float | None
+
+    def declare(self, own: Parameter) -> Parameter:
+        """The component's declaration with this published value."""
+        if self.unit and self.unit != own.unit:
+            raise InputError(f"{self.where}.unit: found {self.unit!r}, expected {own.unit!r}")
+        declared = replace(
+            own,
+            value=self.value,
+            source=self.source or own.source,
+            tuned=self.tuned,
+            prior=self.prior,
+        )
+        try:
+            declared.check(declared.tensor())
+        except InputError as error:
+            raise InputError(f"{self.where}.value: {error}") from None
+        return declared
+
+
+@dataclass(frozen=True)
+class MotionSpec:
+    """``[motion]``: constant velocity with discrete or continuous acceleration noise."""
+
+    noise: str
+
+
+@dataclass(frozen=True)
+class SystemSpec:
+    """One entry of ``[systems]``, as read."""
+
+    name: str
+    where: str
+    estimator: str
+    weight: str
+    standardise: str
+    iterations: int
+    weigh_prior: bool
+    mad: bool
+    gate: str
+    adaptation: str
+    clairvoyant: bool
+    common_noise: bool
+    sensors: tuple[str, ...]
+    note: str
+
+
+def read_motion(table: Table) -> MotionSpec:
+    """Read ``[motion]``."""
+    spec = MotionSpec(table.text("noise", "discrete", choices=NOISES))
+    table.finish()
+    return spec
+
+
+def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
+    """Read ``[systems.NAME]``."""
+    spec = SystemSpec(
+        name,
+        f"{table.where}: {table.path}",
+        table.text("estimator", "filter", choices=ESTIMATORS),
+        table.text("weight", "plain", choices=tuple(WEIGHTS)),
+        table.text("standardise", "innovation", choices=STANDARDISATIONS),
+        table.integer("iterations", 0),
+        table.flag("weigh_prior"),
+        table.flag("mad"),
+        table.text("gate", "none", choices=("none", *ACTIONS)),
+        table.text("adaptation", "none", choices=("none", *ADAPTATIONS)),
+        table.flag("clairvoyant"),
+        table.flag("common_noise"),
+        table.names("sensors", tuple(sensors)),
+        table.text("note", ""),
+    )
+    for sensor in spec.sensors:
+        if sensor not in sensors:
+            table.fail("sensors", f"names among {', '.join(sensors)}")
+    table.finish()
+    return spec
+
+
+def read_parameters(table: Table) -> dict[str, ParameterSpec]:
+    """Read ``[parameters.COMPONENT.NAME]`` tables."""
+    specs = {}
+    for component, group in table.children():
+        for field, entry in group.children():
+            unit = entry.text("unit", "")
+            value = entry.nested("value")
+            if unit in UNITS:
+                value = _scaled(value, UNITS[unit])
+                unit = "rad" if unit in ("rad", "deg") else "m"
+            specs[f"{component}.{field}"] = ParameterSpec(
+                f"{entry.where}: {entry.path}",
+                value,
+                unit,
+                entry.text("source", ""),
+                entry.flag("tuned"),
+                entry.number("prior", None, above=0.0),
+            )
+            entry.finish()
+    return specs
+
+
+def _scaled(value: Number, factor: float) -> Number:
+    if isinstance(value, tuple):
+        return tuple(_scaled(item, factor) for item in value)  # type: ignore[return-value]
+    return value * factor
+
+
+def build_system(
+    spec: SystemSpec,
+    axes: int,
+    motion: MotionSpec,
+    sensors: Mapping[str, SensorSpec],
+    parameters: Mapping[str, ParameterSpec],
+) -> System:
+    """The filter or baseline of a system, with published values declared."""
+
+    def value(name: str) -> Number | None:
+        return parameters[name].value if name in parameters else None
+
+    def where(text: object) -> InputError:
+        return InputError(f"{spec.where}: {text}")
+
+    chosen = [sensors[name] for name in spec.sensors]
+    models = tuple(
+        sensor.for_filter(
+            value(f"{sensor.model.name}.sigma"),
+            value(f"{sensor.model.name}.bias"),
+            spec.common_noise,
+        )
+        for sensor in chosen
+    )
+    acceleration = value("motion.acceleration")
+    if acceleration is None and spec.estimator in ("filter", "chan-ekf"):
+        raise where("needs [parameters.motion.acceleration], found none")
+    try:
+        moving = ConstantVelocity(axes, motion.noise, 1.0 if acceleration is None else acceleration)
+        bare = _bare_system(spec, axes, moving, models, value("start.sigma"))
+        own = bare.declarations
+    except InputError as error:
+        raise where(error) from None
+    declared = {name: p.declare(own[name]) for name, p in parameters.items() if name in own}
+    return replace(bare, overrides=declared)
+
+
+def _bare_system(
+    spec: SystemSpec,
+    axes: int,
+    motion: ConstantVelocity,
+    sensors: tuple[PositionSensor, ...],
+    start_sigma: Number | None,
+) -> System:
+    """The recipe alone."""
+    if spec.estimator == "taylor-ls":
+        return TaylorLeastSquares(sensors, axes)
+    if spec.estimator == "chan-ls":
+        return ChanLeastSquares(sensors, axes)
+    if spec.estimator == "chan-ekf":
+        return ChanEKF(sensors, axes, motion=motion, start_sigma=start_sigma)
+    return Filter(
+        motion,
+        sensors,
+        weight_named(spec.weight),
+        standardise=spec.standardise,
+        iterations=spec.iterations,
+        weigh_prior=spec.weigh_prior,
+        mad=spec.mad,
+        gate=None if spec.gate == "none" else Gate(spec.gate),
+        adaptation=None if spec.adaptation == "none" else InnovationScaling(),
+        clairvoyant=spec.clairvoyant,
+        start_sigma=start_sigma,
+    )

@@ -1,0 +1,47 @@
+"""The ``[tuning]`` table of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from difffilter.losses import LOSSES
+from difffilter.scenario.table import Table
+from difffilter.tune.settings import TuneSettings
+
+__all__ = ["read_tuning"]
+
+
+def read_tuning(table: Table, systems: Sequence[str]) -> TuneSettings:
+    """Read ``[tuning]``; every key is optional."""
+    base = TuneSettings()
+    losses = table.table("loss", optional=True)
+    for name in losses.data:
+        if name not in LOSSES:
+            losses.fail(name, f"a loss among {', '.join(LOSSES)}")
+    loss = {name: losses.number(name, low=0.0) for name in losses.data}
+    if loss and not any(loss.values()):
+        table.fail("loss", "a weight above 0")
+    temperature = table.numbers("temperature", 2, base.temperature)
+    if not temperature[0] >= temperature[1] > 0.0:
+        table.fail("temperature", "two numbers [first, last] with first >= last > 0")
+    settings = TuneSettings(
+        system=table.text("system", systems[0], choices=tuple(systems)),
+        loss=loss or base.loss,
+        trajectories=table.integer("trajectories", base.trajectories, low=1),
+        validation=table.integer("validation", base.validation, low=1),
+        test=table.integer("test", base.test, low=2),
+        batch=table.integer("batch", base.batch, low=1),
+        steps=table.integer("steps", base.steps, low=0),
+        learning_rate=table.number("learning_rate", base.learning_rate, above=0.0),
+        clip=table.number("clip", base.clip, above=0.0),
+        temperature=(temperature[0], temperature[1]),
+        evaluate_every=table.integer("evaluate_every", base.evaluate_every, low=1),
+        patience=table.integer("patience", base.patience, low=1),
+        starts=table.integer("starts", base.starts, low=1),
+        scatter=table.number("scatter", base.scatter, above=0.0),
+        degrees=table.number("degrees", base.degrees, above=0.0),
+        window=table.integer("window", base.window, low=2),
+        refresh=table.integer("refresh", base.refresh, low=1),
+    )
+    table.finish()
+    return settings

@@ -1,0 +1,79 @@
+"""Simulated logs of a scenario's world."""
+
+from __future__ import annotations
+
+import torch
+
+from difffilter.errors import InputError
+from difffilter.log import Log, Start
+from difffilter.scenario.scenario import Scenario
+from difffilter.seeds import stream
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    scenario: Scenario, trajectories: int = 100, seed: int = 0, purpose: str = "log"
+) -> Log:
+    """Draw trajectories, measurements, faults and starts.
+
+    Row k of the log (from 0) is step k + 1 of the world, at time (k + 1) dt: the prescribed
+    start is at time 0 and has no measurement.
+
+    Args:
+        scenario: with a world.
+        trajectories: how many, B.
+        seed, purpose: the same pair gives the same log; different purposes are disjoint.
+
+    Returns:
+        Log with z (T, B, m), truth (T, B, 2 axes), the prescribed start where the scenario
+        starts from the truth, and what clairvoyant filters are told (inputs ``fault.mean``
+        and ``fault.variance``).
+
+    Raises:
+        InputError: a scenario of recorded logs, or trajectories below 1.
+
+    Example:
+        >>> from difffilter import load_scenario, simulate
+        >>> simulate(load_scenario("airport-mlat"), trajectories=3, seed=7).z.shape
+        torch.Size([100, 3, 7])
+    """
+    world = scenario.world
+    if world is None:
+        raise InputError(f"{scenario.name}: has no [world] to simulate, expected recorded logs")
+    if trajectories < 1:
+        raise InputError(f"trajectories: found {trajectories}, expected 1 or more")
+    path = world.simulate(trajectories, stream(seed, purpose, "truth"))
+    truth = path[1:]
+    z = torch.cat(
+        [
+            sensor.measure(truth, stream(seed, purpose, "noise", name), {})
+            for name, sensor in scenario.sensors.items()
+        ],
+        dim=-1,
+    )
+    mean, variance = torch.zeros_like(z), torch.zeros_like(z)
+    for name, fault in scenario.faults.items():
+        generator = stream(seed, purpose, "fault", name)
+        z, added_mean, added_variance = fault.strike(z, scenario.channels, generator)
+        mean, variance = mean + added_mean, variance + added_variance
+    return Log(
+        channels=scenario.channels,
+        time=world.dt * torch.arange(1, world.steps + 1, dtype=torch.float64),
+        z=z,
+        truth=truth,
+        truth_states=world.states,
+        inputs={"fault.mean": mean, "fault.variance": variance},
+        start=_start(scenario, path[0], seed, purpose),
+        names=tuple(f"{scenario.name}-{seed}-{i}" for i in range(trajectories)),
+    )
+
+
+def _start(scenario: Scenario, state: torch.Tensor, seed: int, purpose: str) -> Start | None:
+    """Truth plus normal errors, or None where the scenario starts from measurements."""
+    if scenario.start.kind != "truth":
+        return None
+    axes = scenario.axes
+    sigma = [scenario.start.position_sigma] * axes + [scenario.start.velocity_sigma] * axes
+    noise = torch.randn(state.shape, generator=stream(seed, purpose, "start"), dtype=torch.float64)
+    return Start(state + torch.tensor(sigma, dtype=torch.float64) * noise, None, 0.0)

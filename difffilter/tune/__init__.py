@@ -1,0 +1,1 @@
+"""Tuning by gradient: settings, loop, resumable state, TensorBoard."""

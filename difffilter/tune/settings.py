@@ -1,0 +1,54 @@
+"""How a filter is tuned."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+__all__ = ["TuneSettings"]
+
+
+@dataclass(frozen=True)
+class TuneSettings:
+    """Settings of one tuning run; the defaults serve most scenarios.
+
+    Attributes:
+        system: which system is tuned.
+        loss: weight of each loss by name (see :mod:`difffilter.losses`); their sum is
+            minimised.
+        trajectories: simulated training trajectories.
+        validation: simulated validation trajectories, for early stopping.
+        test: simulated held-out trajectories, for the result that is frozen with the values.
+        batch: trajectories (or windows of recorded logs) per gradient.
+        steps: gradient steps at most, per start.
+        learning_rate: of Adam, on unconstrained numbers (0.05 is about 5 % of a scale);
+            falls along a cosine to a twentieth of it.
+        clip: largest gradient norm.
+        temperature: first and last temperature of the soft weights, geometric between.
+        evaluate_every: gradient steps between validations of the frozen form.
+        patience: validations without improvement before stopping.
+        starts: how many starts; the first is the published values, others are scattered
+            around them.
+        scatter: standard deviation of that scattering, in unconstrained numbers.
+        degrees: degrees of freedom of the likelihood loss's Student density.
+        window: rows of a training window of recorded logs.
+        refresh: gradient steps between refreshes of the windows' warm starts.
+    """
+
+    system: str = ""
+    loss: Mapping[str, float] = field(default_factory=lambda: {"position": 1.0})
+    trajectories: int = 256
+    validation: int = 128
+    test: int = 200
+    batch: int = 64
+    steps: int = 120
+    learning_rate: float = 0.08
+    clip: float = 1.0
+    temperature: tuple[float, float] = (0.5, 0.02)
+    evaluate_every: int = 10
+    patience: int = 6
+    starts: int = 1
+    scatter: float = 0.4
+    degrees: float = 4.0
+    window: int = 200
+    refresh: int = 20

@@ -1,0 +1,1 @@
+"""Plain NumPy reference implementations that share no code with the library."""

@@ -1,0 +1,149 @@
+"""Maps between physical values and unconstrained numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from helpers import assert_close, random_spd, tensor
+from hypothesis import given
+from hypothesis import strategies as st
+
+from difffilter.constraints import (
+    Constraint,
+    Covariance,
+    Interval,
+    OrderedPair,
+    Positive,
+    Real,
+    Simplex,
+)
+
+#: Constraint and the number of unconstrained numbers of a value (3 x 3 for a covariance).
+KINDS: list[tuple[Constraint, int]] = [
+    (Real(), 3),
+    (Positive(), 3),
+    (Interval(), 3),
+    (Interval(-5.0, 2.0), 3),
+    (OrderedPair(), 2),
+    (Simplex(), 3),
+    (Covariance(), 6),
+]
+IDS = [repr(kind) for kind, _ in KINDS]
+
+
+@pytest.mark.parametrize(("constraint", "size"), KINDS, ids=IDS)
+@given(data=st.data())
+def test_any_unconstrained_numbers_give_an_admitted_value_and_come_back(
+    constraint: Constraint, size: int, data: st.DataObject
+) -> None:
+    free = tensor(data.draw(st.lists(st.floats(-6, 6), min_size=size, max_size=size)))
+    physical = constraint.physical(free)
+    assert constraint.admits(physical)
+    if not isinstance(constraint, Covariance):
+        assert_close(constraint.free(physical) + 10, free + 10, 1e-9)
+    assert_close(constraint.physical(constraint.free(physical)), physical, 1e-9)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(("constraint", "size"), KINDS, ids=IDS)
+def test_what_the_map_gives_is_admitted_in_either_precision(
+    constraint: Constraint, size: int, dtype: torch.dtype, generator: torch.Generator
+) -> None:
+    for _ in range(40):
+        free = torch.randn(size, generator=generator).to(dtype)
+        physical = constraint.physical(free)
+        assert physical.dtype == dtype
+        assert constraint.admits(physical)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "value"),
+    [
+        (Real(), -3.5),
+        (Positive(), (1e-9, 1e9)),
+        (Interval(), (1e-6, 0.5, 1 - 1e-6)),
+        (OrderedPair(), (1.5, 4.0)),
+        (OrderedPair(), (1e-3, 1e3)),
+        (Simplex(), (0.2, 0.3, 0.5)),
+        (Covariance(), ((4.0, 1.0), (1.0, 0.5))),
+        (Covariance(), ((1e6, 1e-3), (1e-3, 1e-6))),
+    ],
+)
+def test_a_physical_value_survives_the_round_trip(constraint: Constraint, value: object) -> None:
+    physical = torch.tensor(value, dtype=torch.float64)
+    assert constraint.admits(physical)
+    again = constraint.physical(constraint.free(physical))
+    torch.testing.assert_close(again, physical, rtol=1e-12, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "value"),
+    [
+        (Real(), float("nan")),
+        (Real(), (1.0, float("inf"))),
+        (Positive(), 0.0),
+        (Positive(), (1.0, -1e-9)),
+        (Positive(), float("inf")),
+        (Interval(), 0.0),
+        (Interval(), (0.5, 1.0)),
+        (Interval(-5.0, 2.0), 2.5),
+        (OrderedPair(), (4.0, 1.5)),
+        (OrderedPair(), (2.0, 2.0)),
+        (OrderedPair(), (0.0, 1.0)),
+        (OrderedPair(), 1.0),
+        (OrderedPair(), (1.0, 2.0, 3.0)),
+        (Simplex(), (0.5, 0.6)),
+        (Simplex(), (1.0, 0.0)),
+        (Simplex(), (1.5, -0.5)),
+        (Simplex(), (1.0,)),
+        (Simplex(), 1.0),
+        (Covariance(), ((1.0, 0.5), (0.4, 1.0))),
+        (Covariance(), ((1.0, 2.0), (2.0, 1.0))),
+        (Covariance(), ((0.0, 0.0), (0.0, 1.0))),
+        (Covariance(), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))),
+        (Covariance(), (1.0, 2.0)),
+        (Covariance(), ((float("nan"), 0.0), (0.0, 1.0))),
+    ],
+)
+def test_a_value_outside_the_set_is_not_admitted(constraint: Constraint, value: object) -> None:
+    assert not constraint.admits(torch.tensor(value, dtype=torch.float64))
+
+
+@pytest.mark.parametrize(("constraint", "size"), KINDS, ids=IDS)
+def test_the_map_to_physical_values_passes_gradcheck(
+    constraint: Constraint, size: int, generator: torch.Generator
+) -> None:
+    free = torch.randn(size, generator=generator, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(constraint.physical, free)
+
+
+@pytest.mark.parametrize(("constraint", "size"), KINDS, ids=IDS)
+def test_a_value_under_differentiation_is_checked_without_a_warning(
+    constraint: Constraint, size: int
+) -> None:
+    free = torch.zeros(size, dtype=torch.float64).requires_grad_()
+    torch.set_warn_always(True)  # torch warns once per process otherwise
+    try:
+        assert constraint.admits(constraint.physical(free))
+    finally:
+        torch.set_warn_always(False)
+
+
+def test_a_random_covariance_survives_the_round_trip(rng: np.random.Generator) -> None:
+    for n in (1, 2, 5):
+        covariance = random_spd(rng, n)
+        free = Covariance().free(tensor(covariance))
+        assert free.shape == (n * (n + 1) // 2,)
+        assert_close(Covariance().physical(free), covariance, 1e-13)
+
+
+def test_simplex_has_one_number_less_than_its_value() -> None:
+    assert Simplex().free(tensor([0.2, 0.3, 0.5])).shape == (2,)
+    assert_close(Simplex().physical(torch.zeros(2).double()), tensor([1 / 3] * 3), 1e-15)
+
+
+def test_every_constraint_says_what_it_expects() -> None:
+    sentences = {constraint.expected() for constraint, _ in KINDS}
+    assert len(sentences) == len(KINDS)
+    assert Interval(-5.0, 2.0).expected() == "a number between -5 and 2"
