@@ -42,7 +42,7 @@ _KEYS: dict[str, type | tuple[type, ...]] = {
     "git_commit": (str, type(None)),
     "document": dict,
 }
-_PARAMETER_KEYS: dict[str, type | tuple[type, ...]] = {
+_PARAMETER_KEYS = {
     "value",
     "published",
     "unit",

@@ -80,7 +80,9 @@ def condition(
     mean = torch.cat([torch.zeros_like(deviations[..., 0]), -innovation], dim=-1)
     mean, weight, noise = (x.movedim(-1, 0).contiguous() for x in (mean, weight, noise))
     tensors = (joint, mean, weight, noise)
-    if torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
+    # Under torch.func transforms the plain equations run: ChannelSweep has no rule for them.
+    transformed = torch._C._are_functorch_transforms_active()
+    if not transformed and torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
         from difffilter.condition_gradient import ChannelSweep
 
         joint, mean = ChannelSweep.apply(*tensors)  # type: ignore[no-untyped-call]

@@ -137,7 +137,9 @@ class Simplex(Constraint):
     def _admits(self, physical: Tensor) -> bool:
         if physical.dim() != 1 or physical.shape[0] < 2:
             return False
-        return bool((physical > 0).all()) and abs(float(physical.sum()) - 1.0) < 1e-9
+        return bool((physical > 0).all()) and bool(
+            (physical.sum() - 1.0).abs() < max(1e-9, 8 * torch.finfo(physical.dtype).eps)
+        )
 
 
 @dataclass(frozen=True)

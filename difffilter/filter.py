@@ -42,6 +42,7 @@ class Linearised(NamedTuple):
         observed: (..., m, k) deviations of the predicted measurement.
         independent: (..., m) independent noise variance.
         total: (..., m) diagonal of R.
+        common: how many of the last columns are noise common to channels.
     """
 
     mean: Tensor
@@ -50,6 +51,7 @@ class Linearised(NamedTuple):
     observed: Tensor
     independent: Tensor
     total: Tensor
+    common: int = 0
 
 
 class Adaptation(Protocol):

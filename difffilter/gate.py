@@ -25,8 +25,8 @@ class Gate:
 
     Attributes:
         action: what a failed test does: ``reject`` (w = 0), ``reweigh`` (the filter's
-            robust weight instead of 1, paper 1), ``inflate`` (w = threshold / e, so that
-            the inflated R brings e down to the threshold).
+            robust weight instead of 1, paper 1), ``inflate`` (R_ii is inflated until e is
+            down at the threshold).
     """
 
     action: str = "reject"
@@ -52,14 +52,23 @@ class Gate:
         return torch.sigmoid((threshold - nis) / temperature)
 
     def weigh(
-        self, weight: Tensor, nis: Tensor, constants: Values, temperature: Tensor | None
+        self,
+        weight: Tensor,
+        nis: Tensor,
+        constants: Values,
+        temperature: Tensor | None,
+        share: Tensor | float = 1.0,
     ) -> tuple[Tensor, Tensor]:
-        """Combine the robust ``weight`` (..., m) with the test: (weight, passed)."""
+        """Combine the robust ``weight`` (..., m) with the test: (weight, passed).
+
+        ``share`` is R_ii / S_ii (..., m): what of the innovation variance a weight inflates.
+        """
         passed = self.passed(nis, constants, temperature)
         if self.action == "reject":
             return passed * weight, passed
         if self.action == "reweigh":
             return passed + (1.0 - passed) * weight, passed
         threshold = constants["gate.threshold"]
-        inflated = threshold / torch.maximum(nis, threshold)
+        excess = (nis / threshold - 1.0).clamp_min(0.0)
+        inflated = share / (share + excess)
         return (passed + (1.0 - passed) * inflated) * weight, passed

@@ -13,7 +13,7 @@ from difffilter.linalg import positive_sqrt
 from difffilter.parameters import Values
 from difffilter.sensor import Sensor
 
-__all__ = ["Fix", "gauss_newton", "residual"]
+__all__ = ["Fix", "Weigh", "gauss_newton", "residual"]
 
 Inputs = Mapping[str, Tensor]
 Weigh = Callable[[Tensor], Tensor]
@@ -97,8 +97,8 @@ def gauss_newton(
     damping = position.new_full(lead, FIRST_DAMPING)
     unit = torch.eye(axes, dtype=position.dtype, device=position.device)
     error, gradient = _linearise(sensors, constants, z, inputs, position, size)
-    # Near the minimum the costs differ by rounding alone, and the steps still improve.
-    slack = 1.0 + 64.0 * torch.finfo(position.dtype).eps
+    # Near the minimum the costs differ by the rounding of z - h alone, and steps still improve.
+    slack = 1.0 + 1e4 * torch.finfo(position.dtype).eps
     for _ in range(iterations):
         root = root_weights(error)
         matrix, weighted = normal(root, gradient)

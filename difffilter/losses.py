@@ -65,28 +65,37 @@ def _likelihood(track: Track, log: Log, context: LossContext) -> Tensor:
 
 
 def _consistency(track: Track, log: Log, context: LossContext) -> Tensor:
-    """Squared log of the mean NEES per state: zero where errors are as large as claimed."""
+    """Zero where errors are as large as claimed: the mean NEES per state is 1."""
     rows = scored_rows(log, track, context.score)
     squared = torch.where(rows, nees(log, track), 0.0)
     per_state = squared.sum() / rows.sum() / nees_states(log, track)
-    return per_state.log().square()
+    return _departure(per_state)
 
 
 def _innovation_consistency(track: Track, log: Log, context: LossContext) -> Tensor:
-    """Squared log of the mean nominal NIS per present channel. Needs no truth."""
+    """Zero where the mean nominal NIS per present channel is 1. Needs no truth."""
     record = track.record
     if record is None:
         raise InputError("innovation-consistency: expected a filter with records")
-    return (record.nis.sum() / record.present.sum().clamp_min(1)).log().square()
+    return _departure(record.nis.sum() / record.present.sum().clamp_min(1))
+
+
+def _departure(ratio: Tensor) -> Tensor:
+    """sqrt(1 + log(ratio)^2) - 1: quadratic near 1, and far off no steeper than the error.
+
+    A plain square would make a filter whose model is wrong inflate its noise before
+    anything else.
+    """
+    return (1.0 + ratio.log().square()).sqrt() - 1.0
 
 
 #: Every loss by name.
 LOSSES: Mapping[str, Loss] = {
     "position": Loss(_position, True, "log of the mean squared position error"),
     "likelihood": Loss(_likelihood, False, "robust negative log-likelihood of innovations"),
-    "consistency": Loss(_consistency, True, "squared log of the mean NEES per state"),
+    "consistency": Loss(_consistency, True, "departure of the mean NEES per state from 1"),
     "innovation-consistency": Loss(
-        _innovation_consistency, False, "squared log of the mean NIS per channel"
+        _innovation_consistency, False, "departure of the mean NIS per channel from 1"
     ),
 }
 

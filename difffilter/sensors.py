@@ -133,7 +133,9 @@ class Range(PositionSensor):
         if stations.shape[-1] > self.axes:
             square = square + (self.height - stations[..., self.axes]).square()
         distance = square.clamp_min(torch.finfo(square.dtype).tiny).sqrt()
-        return distance, apart / distance.unsqueeze(-1)
+        # Divide by 1 at a station: the gradient of the unit vector stays finite there.
+        length = torch.where(square > 0, distance, 1.0)
+        return distance, apart / length.unsqueeze(-1)
 
 
 @dataclass(frozen=True, kw_only=True)

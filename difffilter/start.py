@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.gauss_newton import gauss_newton, residual
+from difffilter.gauss_newton import Weigh, gauss_newton, residual
 from difffilter.information import stacked_noise
 from difffilter.log import Log, Start
 from difffilter.parameters import Values
 from difffilter.sensor import Sensor
 from difffilter.sensors import Position
 from difffilter.start_grid import candidates
+from difffilter.start_rows import Epochs, first_rows, flatten
 
 __all__ = ["Recipe", "from_measurements"]
 
 CHUNK = 128
-REFINED = 8
+REFINED = 8  # candidates per sensor
+FINISHED = 4
 
 
 class Recipe(Protocol):
@@ -45,14 +46,6 @@ class Recipe(Protocol):
         """Constants from values."""
 
 
-class _Epochs(NamedTuple):
-    """The first measured rows of each trajectory, (E, B, ...); NaN where there are fewer."""
-
-    z: Tensor
-    inputs: Mapping[str, Tensor]
-    elapsed: Tensor  # (B,) mean time of the rows after the log's first, s
-
-
 @torch.no_grad()
 def from_measurements(
     recipe: Recipe,
@@ -62,7 +55,7 @@ def from_measurements(
     span: float = 2.0,
     scale: float = 3.0,
     velocity_sigma: float | None = None,
-    iterations: int = 20,
+    iterations: int = 10,
 ) -> Start:
     """Start mean of every trajectory: position by robust least squares, all else zero.
 
@@ -84,7 +77,7 @@ def from_measurements(
         velocity_sigma: m/s; if given, the start has a covariance: that of the fit, plus the
             motion from the log's first row to the mean of the rows used, and this for the
             velocities. Without it, the covariance is None: the filter's ``start.sigma``.
-        iterations: of the refinement.
+        iterations: of the first refinement; the best are refined twice as long.
 
     Returns:
         Mean (..., n) at the first row's time: the position, then zeros (velocities and
@@ -107,19 +100,19 @@ def from_measurements(
             f"velocity_sigma: found states {', '.join(recipe.states)}, expected positions and "
             "their velocities"
         )
-    flat = _flatten(log)
+    flat = flatten(log)
     needed = _needed(recipe, axes)
     positions, deviations, elapsed = [], [], []
     for first in range(0, flat.trajectories, CHUNK):
         part = flat.select(range(first, min(first + CHUNK, flat.trajectories)))
-        epochs = _epochs(part, rows, span, needed)
+        epochs = first_rows(part, rows, span, needed)
         position, spread = _locate(recipe.sensors, constants, epochs, n, axes, scale, iterations)
         failed = torch.isnan(position).any(-1).nonzero().flatten().tolist()
         if failed:
-            name = flat.names[first + failed[0]] if flat.names else ""
+            at = first + failed[0]
+            name = flat.names[at] if flat.names and flat.names[at] else at
             raise InputError(
-                f"start: trajectory {name or first + failed[0]}: its measurements never "
-                "determine a position"
+                f"start: trajectory {name}: its measurements never determine a position"
             )
         positions.append(position)
         deviations.append(spread)
@@ -128,16 +121,18 @@ def from_measurements(
     mean = torch.nn.functional.pad(torch.cat(positions), (0, n - axes))
     covariance = None
     if velocity_sigma is not None:
-        block = torch.cat(deviations)
-        moved = (velocity_sigma * torch.cat(elapsed)).square()
-        unit = torch.eye(axes, dtype=mean.dtype, device=mean.device)
-        block = block @ block.mT + moved[:, None, None] * unit
-        covariance = torch.diag_embed(torch.full_like(mean, velocity_sigma**2))
-        covariance = torch.nn.functional.pad(block, (0, n - axes, 0, n - axes)) + torch.cat(
-            [torch.zeros_like(covariance[:, :axes]), covariance[:, axes:]], dim=1
-        )
+        covariance = _covariance(torch.cat(deviations), torch.cat(elapsed), velocity_sigma, n)
         covariance = covariance.reshape(*lead, n, n)
     return Start(mean.reshape(*lead, n), covariance)
+
+
+def _covariance(deviations: Tensor, elapsed: Tensor, sigma: float, states: int) -> Tensor:
+    """The fit's covariance plus the motion within ``elapsed``, and sigma^2 for velocities."""
+    axes = deviations.shape[-1]
+    moved = (sigma * elapsed).square().unsqueeze(-1).expand(-1, axes)
+    velocity = moved.new_full((len(moved), states - axes), sigma**2)
+    fit = torch.nn.functional.pad(deviations, (0, 0, 0, states - axes))
+    return fit @ fit.mT + torch.diag_embed(torch.cat([moved, velocity], dim=-1))
 
 
 def _axes(recipe: Recipe) -> int:
@@ -156,46 +151,10 @@ def _needed(recipe: Recipe, axes: int) -> int:
     return min(axes + extra, len(recipe.channels))
 
 
-def _flatten(log: Log) -> Log:
-    """The log with one dimension of trajectories."""
-    lead = log.z.shape[1:-1]
-    time = log.time.reshape(log.steps, -1)
-    size = lead.numel()
-    inputs = {
-        name: value.reshape(log.steps, size, *value.shape[1 + len(lead) :])
-        for name, value in log.inputs.items()
-    }
-    z = log.z.reshape(log.steps, size, -1)
-    return Log(log.channels, time.expand(-1, size), z, inputs=inputs, names=log.names)
-
-
-def _epochs(log: Log, rows: int, span: float, needed: int) -> _Epochs:
-    """Each trajectory's first measured rows, gathered to a common length."""
-    measured = log.measured
-    rank = measured.cumsum(0)
-    begin = measured.to(log.time.dtype).argmax(0, keepdim=True)
-    since = log.time - log.time.gather(0, begin)
-    seen = (log.present.cumsum(0) > 0).sum(-1)
-    short = torch.cat([torch.zeros_like(seen[:1]), seen[:-1]]) < needed
-    wanted = measured & (((rank <= rows) & (since <= span)) | short)
-    length = max(int(wanted.sum(0).max()), 1)
-    index = torch.argsort(wanted.to(torch.int8), dim=0, descending=True, stable=True)[:length]
-    valid = wanted.gather(0, index)
-
-    def gather(x: Tensor) -> Tensor:
-        at = index.reshape(*index.shape, *[1] * (x.dim() - 2))
-        return x.gather(0, at.expand(-1, -1, *x.shape[2:]))
-
-    z = torch.where(valid.unsqueeze(-1), gather(log.z), torch.nan)
-    time = torch.where(valid, gather(log.time), torch.nan)
-    elapsed = torch.nan_to_num(time.nanmean(0) - log.time[0])
-    return _Epochs(z, {name: gather(value) for name, value in log.inputs.items()}, elapsed)
-
-
 def _locate(
     sensors: tuple[Sensor, ...],
     constants: Values,
-    epochs: _Epochs,
+    epochs: Epochs,
     states: int,
     axes: int,
     scale: float,
@@ -225,21 +184,26 @@ def _locate(
         least, member = value.min(1)
         index = member[:, None, :, None].expand(-1, 1, -1, axes)
         found.append(best(grid.gather(1, index).squeeze(1), least, REFINED))
-    start = torch.cat(found)
-    fix = gauss_newton(
-        sensors,
-        constants,
-        z,
-        inputs,
-        start,
-        lambda s: 1.0 / (1.0 + (s / scale).square()),
-        iterations,
-        epochs=True,
-        states=states,
-    )
-    # A candidate without a fix costs infinity; where all have none, the result stays NaN.
-    order = cost(fix.position).argmin(0)
-    pick = order[None, :, None]
-    position = fix.position.gather(0, pick.expand(1, -1, axes))[0]
-    spread = fix.deviations.gather(0, pick.unsqueeze(-1).expand(1, -1, axes, axes))[0]
-    return position, spread
+    present = ~torch.isnan(z)
+
+    def wide(s: Tensor) -> Tensor:
+        """Weights at the candidate's own scale: far from the minimum, longer steps."""
+        size = torch.where(present, s.abs(), torch.nan).movedim(0, -1).flatten(-2)
+        own = size.nanmedian(-1).values.nan_to_num(0.0).unsqueeze(-1)
+        return 1.0 / (1.0 + (s / own.clamp_min(scale)).square())
+
+    def narrow(s: Tensor) -> Tensor:
+        return 1.0 / (1.0 + (s / scale).square())
+
+    def refine(position: Tensor, weigh: Weigh, iterations: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Refined candidates, their deviations and costs; without a fix, infinity."""
+        fix = gauss_newton(
+            sensors, constants, z, inputs, position, weigh, iterations, epochs=True, states=states
+        )
+        return *fix, cost(fix.position)
+
+    position, _, value = refine(torch.cat(found), wide, iterations)
+    position, deviations, value = refine(best(position, value, FINISHED), narrow, 2 * iterations)
+    pick = value.argmin(0)[None, :, None]
+    spread = deviations.gather(0, pick.unsqueeze(-1).expand(1, -1, axes, axes))
+    return position.gather(0, pick.expand(1, -1, axes))[0], spread[0]

@@ -95,12 +95,13 @@ def _linearise(
         innovation = torch.where(present, innovation - inputs["fault.mean"], 0.0)
         r, r_total = r + extra, r_total + extra
     z_deviations = _join(observed, -2)
-    if any(block.shape[-1] for block in common):
+    columns = sum(block.shape[-1] for block in common)
+    if columns:
         shared = torch.block_diag(*common)  # type: ignore[no-untyped-call]
         shared = shared.expand(*mean.shape[:-1], -1, -1)
         z_deviations = torch.cat([z_deviations, shared], dim=-1)
-        deviations = torch.nn.functional.pad(deviations, (0, shared.shape[-1]))
-    return Linearised(mean, deviations, innovation, z_deviations, r, r_total), present
+        deviations = torch.nn.functional.pad(deviations, (0, columns))
+    return Linearised(mean, deviations, innovation, z_deviations, r, r_total, columns), present
 
 
 def _weigh_once(
@@ -131,14 +132,22 @@ def _reweigh(
     if filter.weigh_prior:
         white = torch.eye(n, k, dtype=deviations.dtype, device=deviations.device)
         deviations = torch.cat([deviations, white.expand_as(deviations)], dim=-2)
+    rows = deviations.shape[-2]
+    if linear.common:  # rows of H X without the common noise: their shift is H (x - m)
+        own = linear.observed[..., : k - linear.common]
+        own = torch.nn.functional.pad(own, (0, linear.common))
+        deviations = torch.cat([deviations, own], dim=-2)
     weight = present.to(deviations.dtype)
     gate = torch.ones_like(weight)
     prior_weight = torch.ones_like(linear.mean)
     s = linear.innovation
     conditioned = _condition(linear, deviations, linear.observed, weight)
     for _ in range(filter.iterations):
-        s = conditioned.residual / linear.total.sqrt()
-        prior_s = conditioned.shift[..., n:]
+        residual = conditioned.residual
+        if linear.common:
+            residual = linear.innovation - conditioned.shift[..., rows:]
+        s = residual / linear.total.sqrt()
+        prior_s = -conditioned.shift[..., n:rows]
         if filter.mad:
             scale = _mad_scale(torch.cat([torch.where(present, s, torch.nan), prior_s], dim=-1))
             s, prior_s = s / scale, prior_s / scale
@@ -173,15 +182,23 @@ def _gated(
         return weight, torch.ones_like(weight)
     variance = linear.observed.square().sum(-1) + linear.independent
     nis = linear.innovation.square() / variance
-    return filter.gate.weigh(weight, nis, constants, _soft(constants))
+    share = linear.total / variance
+    return filter.gate.weigh(weight, nis, constants, _soft(constants), share)
 
 
 def _mad_scale(residuals: Tensor) -> Tensor:
     """1.48 times the median absolute deviation over the last axis, NaN left out."""
-    median = residuals.nanmedian(dim=-1, keepdim=True).values
-    spread = (residuals - median).abs().nanmedian(dim=-1, keepdim=True).values
+    spread = _median((residuals - _median(residuals)).abs())
+    spread = torch.where(torch.isnan(spread), 1.0, spread)  # no row at all
     # With most residuals equal the deviation is 0: keep the scale away from it.
     return (1.48 * spread).clamp_min(1e-3)
+
+
+def _median(x: Tensor) -> Tensor:
+    """Median over the last axis, NaN left out: the mean of the middle two of an even number."""
+    low = x.nanmedian(dim=-1, keepdim=True).values
+    high = -(-x).nanmedian(dim=-1, keepdim=True).values
+    return 0.5 * (low + high)
 
 
 def _record(

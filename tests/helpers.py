@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from oracles import kinematics, textbook
 from oracles.airport import RECEIVERS
 from torch import Tensor
 
@@ -14,6 +15,7 @@ from difffilter.belief import Belief, Measurement, Record, belief
 from difffilter.filter import Filter
 from difffilter.motion import ConstantVelocity
 from difffilter.parameters import Values
+from difffilter.sensor import FunctionSensor
 from difffilter.sensors import TDOA
 from difffilter.step import step
 
@@ -81,3 +83,32 @@ def run_steps(
         beliefs.append(state)
         records.append(record)
     return beliefs, records
+
+
+MOTION = ConstantVelocity(2, acceleration=0.8)
+MATRIX = np.random.default_rng(3).standard_normal((3, 4))
+
+
+def linear_filter(sigma: object = (0.5, 1.0, 2.0), **options: object) -> Filter:
+    """Three channels z = H x + noise with a fixed matrix H."""
+    h = tensor(MATRIX)
+    sensor = FunctionSensor(
+        ("a", "b", "c"),
+        lambda x, inputs, values: (h @ x.unsqueeze(-1)).squeeze(-1),
+        sigma,  # type: ignore[arg-type]
+        name="linear",
+    )
+    return Filter(MOTION, (sensor,), **options)  # type: ignore[arg-type]
+
+
+def textbook_predict(state: Belief, dt: float) -> tuple[Array, Array]:
+    """Predicted mean and covariance of :func:`linear_filter` in textbook form."""
+    process = kinematics.discrete_noise(0.8**2 * np.eye(2), dt)
+    return textbook.predict(
+        array(state.mean), array(state.covariance), kinematics.transition(2, dt), process
+    )
+
+
+def one(filter: Filter, state: Belief, z: Tensor, dt: float = 0.5) -> tuple[Belief, Record]:
+    """One step at the declared values."""
+    return step(filter, filter.prepare(), state, Measurement(z, tensor(dt)))

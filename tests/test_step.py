@@ -1,53 +1,36 @@
-"""One step against the textbook filter: linear models, weights, missing channels, full R."""
+"""One step against the textbook filter: linear models, weights, several sensors."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import torch
-from helpers import STATIONS, array, assert_close, plane_belief, random_spd, run_steps, tensor
+from helpers import (
+    MATRIX,
+    MOTION,
+    STATIONS,
+    array,
+    assert_close,
+    linear_filter,
+    one,
+    plane_belief,
+    random_spd,
+    run_steps,
+    tensor,
+    textbook_predict,
+)
 from oracles import airport, kinematics, textbook
 from oracles import weights as published
 from oracles.regression import weighted_noise
-from torch import Tensor
 
 from difffilter.belief import Belief, Measurement, belief
 from difffilter.constraints import Positive
 from difffilter.errors import InputError
 from difffilter.filter import Filter
-from difffilter.gate import ACTIONS, Gate
-from difffilter.motion import ConstantVelocity
 from difffilter.parameters import Parameter, as_number
-from difffilter.sensor import FunctionSensor
 from difffilter.sensors import TDOA, Position, Range
 from difffilter.step import predict, step
 from difffilter.weights import WEIGHTS, Weight, huber
-
-MOTION = ConstantVelocity(2, acceleration=0.8)
-MATRIX = np.random.default_rng(3).standard_normal((3, 4))
-
-
-def linear_filter(sigma: object = (0.5, 1.0, 2.0), **options: object) -> Filter:
-    """Three channels z = H x + noise with a fixed matrix H."""
-    h = tensor(MATRIX)
-    sensor = FunctionSensor(
-        ("a", "b", "c"),
-        lambda x, inputs, values: (h @ x.unsqueeze(-1)).squeeze(-1),
-        sigma,  # type: ignore[arg-type]
-        name="linear",
-    )
-    return Filter(MOTION, (sensor,), **options)  # type: ignore[arg-type]
-
-
-def textbook_predict(state: Belief, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    process = kinematics.discrete_noise(0.8**2 * np.eye(2), dt)
-    return textbook.predict(
-        array(state.mean), array(state.covariance), kinematics.transition(2, dt), process
-    )
-
-
-def one(filter: Filter, state: Belief, z: Tensor, dt: float = 0.5) -> tuple[Belief, object]:
-    return step(filter, filter.prepare(), state, Measurement(z, tensor(dt)))
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
@@ -142,57 +125,6 @@ def test_weights_of_one_are_the_plain_filter(rng: np.random.Generator) -> None:
         assert_close(found, one(plain, state, z)[0].covariance, 1e-13)
 
 
-def only_channels(sigma: object, kept: list[int]) -> Filter:
-    h = tensor(MATRIX[kept])
-    channels = tuple("abc"[i] for i in kept)
-    sensor = FunctionSensor(
-        channels,
-        lambda x, inputs, values: (h @ x.unsqueeze(-1)).squeeze(-1),
-        sigma,  # type: ignore[arg-type]
-        name="linear",
-    )
-    return Filter(MOTION, (sensor,), weight=huber)
-
-
-@pytest.mark.parametrize("form", ["independent", "full"])
-@pytest.mark.parametrize("missing", [[0], [1, 2], [0, 1]])
-def test_a_missing_channel_is_a_deleted_channel(
-    rng: np.random.Generator, missing: list[int], form: str
-) -> None:
-    kept = [i for i in range(3) if i not in missing]
-    noise = random_spd(rng, 3)
-    full = form == "full"
-    sigma = as_number(noise.tolist()) if full else (0.5, 1.0, 2.0)
-    less = as_number(noise[np.ix_(kept, kept)].tolist()) if full else np.array(sigma)[kept].tolist()
-    state, z = plane_belief(rng), tensor([450.0, -300.0, 1.0])
-    z_missing = z.clone()
-    z_missing[missing] = torch.nan
-    found, record = one(linear_filter(sigma, weight=huber), state, z_missing)
-    expected, expected_record = one(only_channels(less, kept), state, z[kept])
-    assert_close(found.mean, expected.mean, 1e-12)
-    assert_close(found.covariance, expected.covariance, 1e-10)
-    assert record.present.tolist() == [i in kept for i in range(3)]
-    assert not record.weight[missing].any()
-    assert not record.innovation[missing].any()
-    assert float(record.nis) == pytest.approx(float(expected_record.nis), rel=1e-9)
-
-
-@pytest.mark.parametrize("iterations", [0, 5])
-@pytest.mark.parametrize("mad", [False, True])
-@pytest.mark.parametrize("weigh_prior", [False, True])
-def test_without_any_channel_the_filter_coasts_on_its_prediction(
-    rng: np.random.Generator, iterations: int, mad: bool, weigh_prior: bool
-) -> None:
-    options = {"mad": mad, "weigh_prior": weigh_prior} if iterations else {}
-    filter = linear_filter(weight=huber, iterations=iterations, **options)
-    state = plane_belief(rng)
-    after, record = one(filter, state, torch.full((3,), torch.nan).double())
-    mean, cov = textbook_predict(state, 0.5)
-    assert_close(after.mean, mean, 1e-13)
-    assert_close(after.covariance, cov, 1e-12)
-    assert float(record.nis) == 0.0
-
-
 @pytest.mark.parametrize("common", [None, 2.0])
 def test_several_sensors_are_one_joint_update(
     rng: np.random.Generator, common: float | None
@@ -220,42 +152,6 @@ def test_several_sensors_are_one_joint_update(
     s = h @ cov @ h.T + noise
     assert_close(record.innovation_variance, np.diag(s).copy(), 1e-12)
     assert float(record.nis) == pytest.approx(innovation @ np.linalg.solve(s, innovation))
-
-
-@pytest.mark.parametrize("action", ACTIONS)
-def test_a_gated_step_is_the_update_at_the_gate_s_weights(
-    rng: np.random.Generator, action: str
-) -> None:
-    filter = linear_filter(weight=huber, gate=Gate(action))
-    state = plane_belief(rng)
-    mean, cov = textbook_predict(state, 0.5)
-    s = np.array([0.5, -2.0, 6.0])
-    noise = np.diag([0.25, 1.0, 4.0])
-    innovation = s * np.sqrt(np.diag(MATRIX @ cov @ MATRIX.T + noise))
-    after, record = one(filter, state, tensor(MATRIX @ mean + innovation))
-    assert record.gate.tolist() == [1.0, 1.0, 0.0]
-    w = {"reject": (1, 1.345 / 2, 0), "reweigh": (1, 1, 1.345 / 6)}.get(action)
-    if w is not None:
-        assert_close(record.weight, np.array(w, dtype=float), 1e-10)
-    kept = array(record.weight) > 0
-    noise = weighted_noise(noise[kept][:, kept], array(record.weight)[kept])
-    expected = textbook.kalman_update(mean, cov, innovation[kept], MATRIX[kept], noise)
-    assert_close(after.mean, expected[0], 1e-12)
-    assert_close(after.covariance, expected[1], 1e-10)
-
-
-def test_the_inflating_gate_brings_the_nis_down_to_the_threshold(
-    rng: np.random.Generator,
-) -> None:
-    filter, state = linear_filter(gate=Gate("inflate")), plane_belief(rng)
-    mean, cov = textbook_predict(state, 0.5)
-    noise = np.array([0.25, 1.0, 4.0])
-    spread = np.diag(MATRIX @ cov @ MATRIX.T)
-    innovation = np.array([0.5, -4.0, 6.0]) * np.sqrt(spread + noise)
-    _, record = one(filter, state, tensor(MATRIX @ mean + innovation))
-    inflated = innovation**2 / (spread + noise / array(record.weight))
-    threshold = float(filter.prepare()["gate.threshold"])
-    assert_close(inflated, np.array([0.25, threshold, threshold]), 1e-10)
 
 
 def test_a_wrong_recipe_is_an_input_error() -> None:

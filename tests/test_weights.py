@@ -7,45 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from helpers import array, assert_close, tensor
+from helpers import assert_close, tensor
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles import weights as published
-from torch import Tensor
+from weight_cases import NAMES, TEMPERATURES, clipping_points, evaluate, values_of
 
 from difffilter.errors import InputError
-from difffilter.weights import WEIGHTS, Weight, weight_named
+from difffilter.weights import WEIGHTS, weight_named
 
-NAMES = ("plain", "huber", "igg3", "tanh", "imq")
-TEMPERATURES = (None, 1.0, 0.1, 0.01)
 ORACLES: dict[str, Callable[..., np.ndarray]] = {
     name: getattr(published, name) for name in NAMES if name != "plain"
 }
-#: Values that the literature uses, besides the defaults.
-LITERATURE: dict[str, list[tuple[float, ...]]] = {
-    "huber": [(1.0,), (1.345,), (2.0,)],
-    "igg3": [(1.2, 4.0), (1.0, 2.5), (1.5, 2.5), (1.0, 8.0), (1.5, 8.0)],
-    "tanh": [(1.5, 4.0), (1.0, 4.0), (1.5, 3.0), (2.0, 6.0)],
-    "imq": [(1.0,), (3.0,), (5.0,)],
-}
-
-
-def values_of(weight: Weight, numbers: tuple[float, ...] | None = None) -> dict[str, Tensor]:
-    """The weight's parameters at the given numbers, or at their defaults."""
-    if not weight.parameters:
-        return {}
-    (parameter,) = weight.parameters
-    if numbers is None:
-        return {parameter.name: parameter.tensor()}
-    return {parameter.name: tensor(numbers).reshape(parameter.tensor().shape)}
-
-
-def evaluate(
-    name: str, s: Tensor, temperature: float | None = None, numbers: tuple[float, ...] | None = None
-) -> Tensor:
-    weight = WEIGHTS[name]
-    constants = weight.prepare(values_of(weight, numbers))
-    return weight(s, constants, None if temperature is None else tensor(temperature))
 
 
 def numbers_for(name: str) -> st.SearchStrategy[tuple[float, ...] | None]:
@@ -59,12 +32,6 @@ def numbers_for(name: str) -> st.SearchStrategy[tuple[float, ...] | None]:
 
 CASES = st.sampled_from(NAMES).flatmap(lambda name: st.tuples(st.just(name), numbers_for(name)))
 SIZES = st.one_of(st.floats(0.0, 20.0), st.floats(0.0, 1e6))
-
-
-def clipping_points(numbers: tuple[float, ...] | None) -> Tensor:
-    """s = 0, the clipping points on both sides, and far out."""
-    points = list(numbers or ())
-    return tensor([0.0, *points, *(-p for p in points), 1e6, -1e6])
 
 
 @given(case=CASES, sizes=st.lists(SIZES, min_size=1), temperature=st.sampled_from(TEMPERATURES))
@@ -149,77 +116,6 @@ def test_the_implicit_gradient_of_the_slope_matches_finite_differences(
             published.tanh_slope(*(np.array(numbers) + sign * h * np.eye(2)[i])) for sign in (1, -1)
         )
         assert float(found[i]) == pytest.approx((up - down) / (2 * h), rel=1e-6)
-
-
-def away_from_kinks(name: str, numbers: tuple[float, ...]) -> Tensor:
-    grid = torch.linspace(-8.13, 8.17, 60).double()
-    near = (grid.abs().unsqueeze(-1) - tensor(numbers)).abs().amin(-1) < 0.05
-    return grid[~near]
-
-
-@pytest.mark.parametrize("temperature", TEMPERATURES)
-@pytest.mark.parametrize("name", [n for n in NAMES if n != "plain"])
-def test_gradcheck_passes_over_the_residual_and_every_parameter(
-    name: str, temperature: float | None
-) -> None:
-    weight = WEIGHTS[name]
-    (key, value) = next(iter(values_of(weight).items()))
-    numbers = tuple(value.reshape(-1).tolist())
-    s = away_from_kinks(name, numbers)
-    if temperature is not None and temperature >= 0.1:
-        s = torch.cat([s, clipping_points(numbers)[:-2]])
-
-    def function(s: Tensor, value: Tensor) -> Tensor:
-        soft = None if temperature is None else tensor(temperature)
-        return weight(s, weight.prepare({key: value}), soft)
-
-    inputs = (s.requires_grad_(), value.requires_grad_())
-    assert torch.autograd.gradcheck(function, inputs, atol=1e-6, rtol=1e-4)
-
-
-@pytest.mark.parametrize(("name", "numbers"), [(n, p) for n in LITERATURE for p in LITERATURE[n]])
-def test_the_soft_form_at_temperature_0_01_is_the_hard_one(
-    name: str, numbers: tuple[float, ...]
-) -> None:
-    s = torch.linspace(0, 15, 30_001).double()
-    apart = (evaluate(name, s, 0.01, numbers) - evaluate(name, s, None, numbers)).abs()
-    assert float(apart.max()) <= 0.02
-
-
-@pytest.mark.parametrize("name", ["huber", "igg3", "tanh"])
-def test_the_soft_form_converges_to_the_hard_one(name: str) -> None:
-    s = torch.linspace(-12, 12, 4_001).double()
-    hard = evaluate(name, s)
-    apart = [float((evaluate(name, s, t) - hard).abs().max()) for t in (0.1, 0.01, 1e-3, 1e-4)]
-    assert apart[-1] < 2e-4
-    assert apart == sorted(apart, reverse=True)
-
-
-def parameter_slope(name: str, s: float, temperature: float | None) -> np.ndarray:
-    """Gradient of w(s) towards the weight's own parameter."""
-    weight = WEIGHTS[name]
-    (key, value) = next(iter(values_of(weight).items()))
-    value.requires_grad_()
-    soft = None if temperature is None else tensor(temperature)
-    w = weight(tensor([s]), weight.prepare({key: value}), soft)
-    return array(torch.autograd.grad(w.sum(), value)[0])
-
-
-@pytest.mark.parametrize(
-    ("name", "s"),
-    [("huber", 0.5), ("huber", 1.2), ("igg3", 0.7), ("igg3", 5.0), ("tanh", 0.7), ("tanh", 5.0)],
-)
-def test_the_soft_form_feels_a_clipping_point_that_the_hard_form_does_not(
-    name: str, s: float
-) -> None:
-    assert not parameter_slope(name, s, None).any()
-    slope = parameter_slope(name, s, 1.0)
-    assert (np.abs(slope) > 1e-6).all()
-
-
-def test_the_imq_weight_is_smooth_already() -> None:
-    s = torch.linspace(-9, 9, 50).double()
-    assert torch.equal(evaluate("imq", s, 1.0), evaluate("imq", s))
 
 
 def test_an_unknown_weight_is_an_error_that_lists_the_known() -> None:

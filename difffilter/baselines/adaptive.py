@@ -49,7 +49,8 @@ class InnovationScaling:
         bounds_r, bounds_q: parameters ``adaptive.bounds_r`` and ``adaptive.bounds_q``.
 
     Memory: ``adaptive.ring`` (..., window, 3), ``adaptive.count``, ``adaptive.a`` and
-    ``adaptive.b`` (...). Not to be combined with ``weigh_prior``.
+    ``adaptive.b`` (...). Noise common to channels
+    together with the filter's ``weigh_prior`` is not supported.
     """
 
     window: int = 20

@@ -119,7 +119,7 @@ class TaylorLeastSquares(Snapshot):
         iterations: steps per row.
 
     Each row starts at the position of ``start``, else of the log's start, else of
-    :func:`difffilter.start.from_measurements`.
+    :func:`difffilter.start.from_measurements` (an error if no row determines a position).
 
     Example:
         >>> import torch
@@ -132,7 +132,7 @@ class TaylorLeastSquares(Snapshot):
     """
 
     weight: Weight = plain
-    iterations: int = 20
+    iterations: int = 10
 
     @property
     def parts(self) -> tuple[Sensor | Weight, ...]:

@@ -202,7 +202,7 @@ class _Job:
         settings = self.settings
         parameters = self._initial(start)
         free = list(parameters.free().values())
-        optimiser = torch.optim.Adam(free, lr=settings.learning_rate)
+        optimiser = torch.optim.Adam(free, lr=settings.learning_rate, betas=(0.9, 0.98))
         own_best, stale, loss, at = math.inf, 0, math.nan, 0
         if resumed is not None:
             with torch.no_grad():

@@ -1,0 +1,136 @@
+"""``difffilter compare``: systems and sets of values on the same held-out trajectories."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from typing import TYPE_CHECKING
+
+from difffilter.cli.logs import need_log, not_clairvoyant, read_logs
+from difffilter.cli.options import Commands, check_place, load_named, shows_progress, whole
+from difffilter.cli.output import comparison_text, json_text, note
+from difffilter.cli.values import HELP, own_checkpoint, read_values, unfit
+from difffilter.errors import InputError
+from difffilter.files import write_atomically
+
+if TYPE_CHECKING:
+    from difffilter.checkpoint import Checkpoint
+    from difffilter.scenario.scenario import Scenario
+
+__all__ = ["add"]
+
+TRAJECTORIES, SEED = 200, 1
+EXAMPLE = """\
+examples:
+  difffilter compare airport-mlat --values published --values mine.json
+  difffilter compare airport-mlat --system ekf --system m-ekf --trajectories 50 --json
+  difffilter compare uwb-ranges --log los_A1.csv los_A2.csv
+
+Published values run every system; a checkpoint runs its own. RMSE and ratios have 95 %
+bootstrap intervals over trajectories; every row of the table uses the same ones.
+"""
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "compare",
+        help="compare systems and values on held-out trajectories",
+        description="Run every system of a scenario, and every set of values, on the same "
+        "held-out trajectories.",
+        example=EXAMPLE,
+    )
+    parser.add_scenario()
+    parser.add_argument(
+        "--values",
+        metavar="VALUES",
+        action="append",
+        help=f"{HELP} (repeatable; published, and tuned if the package has it)",
+    )
+    parser.add_argument("--system", metavar="NAME", action="append", help="only this (repeatable)")
+    parser.add_argument("--trajectories", type=whole(1), help=f"how many ({TRAJECTORIES})")
+    parser.add_argument("--seed", type=whole(0), help=f"of the held-out trajectories ({SEED})")
+    parser.add_argument(
+        "--log", metavar="FILE", nargs="+", help="recorded logs with truth, instead of simulation"
+    )
+    parser.add_argument("--out", metavar="FILE", help="write it too: .json or .md")
+    parser.add_json()
+    parser.add_quiet()
+    parser.set_defaults(command=command)
+
+
+def command(args: Namespace) -> int:
+    """Compare, print, write."""
+    check_place(args.out, (".json", ".md"))
+    if args.log:
+        for option in ("trajectories", "seed"):
+            if getattr(args, option) is not None:
+                raise InputError(f"--{option}: found beside --log, expected one of them")
+    scenario = load_named(args)
+    systems = _systems(scenario, args)
+    values = _values(scenario, args.values, systems)
+    log = read_logs(scenario, args.log)
+    need_log(scenario, log)
+
+    from difffilter.compare import compare
+
+    comparison = compare(
+        scenario,
+        values,
+        TRAJECTORIES if args.trajectories is None else args.trajectories,
+        SEED if args.seed is None else args.seed,
+        log=log,
+        systems=systems,
+        progress=shows_progress(args),
+    )
+    as_json, text = json_text(comparison.as_dict()), comparison_text(comparison, scenario)
+    if args.out:
+        write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
+    if args.json:
+        print(as_json)
+    else:
+        data = f"{comparison.trajectories} recorded" if args.log else (
+            f"{comparison.trajectories} held-out trajectories, seed {comparison.seed}"
+        )  # fmt: skip
+        print(f"{scenario.name}: {data}\n\n{text}", end="")
+    return 0
+
+
+def _systems(scenario: Scenario, args: Namespace) -> tuple[str, ...]:
+    """The systems that were asked for; by default all that the data can serve."""
+    for name in args.system or ():
+        scenario.system(name)
+        if args.log:
+            not_clairvoyant(scenario, name)
+    if args.system:
+        return tuple(args.system)
+    return tuple(n for n, spec in scenario.systems.items() if not (args.log and spec.clairvoyant))
+
+
+def _values(
+    scenario: Scenario, labels: list[str] | None, systems: tuple[str, ...]
+) -> dict[str, Checkpoint | None]:
+    """Checkpoints by label: those asked for must fit, the package's own one may."""
+    if labels is None:
+        values: dict[str, Checkpoint | None] = {"published": None}
+        if own_checkpoint(scenario).is_file():
+            own = read_values("tuned", scenario)
+            assert own is not None
+            problem = unfit(own, scenario, own.system) if own.system in scenario.systems else ""
+            if problem:
+                note(f"the package's tuned values are left out: {problem}")
+            elif own.system in systems:
+                values["tuned"] = own
+        return values
+    values = {label: read_values(label, scenario) for label in labels}
+    for label, checkpoint in values.items():
+        if checkpoint is None:
+            continue
+        if checkpoint.system not in systems:
+            raise InputError(
+                f"--values {label}: tuned for system {checkpoint.system}, "
+                f"expected one of {', '.join(systems)}"
+            )
+        problem = unfit(checkpoint, scenario, checkpoint.system)
+        if problem:
+            raise InputError(f"--values {label}: {problem}")
+    return values

@@ -1,0 +1,63 @@
+"""The file of estimates that ``difffilter run`` writes, and its summary."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from difffilter.files import write_atomically
+from difffilter.log import Log
+from difffilter.metrics import rejected, rmse
+from difffilter.run import Track
+
+__all__ = ["columns", "summary", "write_estimates"]
+
+
+def write_estimates(path: str, log: Log, track: Track) -> None:
+    """Write the columns as CSV; a field is empty where there is no number."""
+    table = columns(log, track)
+    lines = [",".join(table)]
+    for row in zip(*table.values(), strict=True):
+        lines.append(",".join(repr(value) if math.isfinite(value) else "" for value in row))
+    write_atomically(path, "\n".join(lines) + "\n")
+
+
+def columns(log: Log, track: Track) -> dict[str, list[float]]:
+    """Time, mean, standard deviations, weight per channel (0 where missing), nominal NIS.
+
+    Args:
+        log: one trajectory, in a batch of its own; track: of that log.
+    """
+    time = log.time[:, 0] if log.time.dim() > 1 else log.time
+    found: dict[str, Tensor] = {"time": time}
+    for i, state in enumerate(track.states):
+        found[state] = track.mean[:, 0, i]
+    for i, state in enumerate(track.states):
+        found[f"{state}_std"] = track.std[:, 0, i]
+    weight = _weights(log, track)
+    for i, channel in enumerate(track.channels):
+        found[f"{channel}_weight"] = weight[:, 0, i]
+    none = torch.full_like(time, math.nan)
+    found["nis"] = none if track.record is None else track.record.nis[:, 0]
+    return {name: column.tolist() for name, column in found.items()}
+
+
+def _weights(log: Log, track: Track) -> Tensor:
+    """Estimators without records use every measurement that there is."""
+    if track.record is None:
+        return log.present.to(log.z.dtype)
+    return torch.where(track.record.present, track.record.weight, 0.0)
+
+
+def summary(log: Log, track: Track, score: str) -> dict[str, Any]:
+    """Number of rows, position RMSE (None without truth), share rejected per channel."""
+    positions = [n for n in log.truth_states if n in track.states and not n.startswith("v")]
+    error = float(rmse(log, track, score)) if positions else math.nan
+    return {
+        "rows": log.steps,
+        "rmse": error if math.isfinite(error) else None,
+        "rejected": dict.fromkeys(track.channels, 0.0) | rejected(track),
+    }

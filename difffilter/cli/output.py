@@ -1,0 +1,73 @@
+"""What commands print: JSON for machines, tables for people."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from difffilter.compare import Comparison
+    from difffilter.scenario.scenario import Scenario
+
+__all__ = ["comparison_text", "finite", "json_text", "note", "number", "print_json", "table"]
+
+
+def print_json(data: Mapping[str, Any]) -> None:
+    """One JSON object on stdout."""
+    print(json_text(data))
+
+
+def json_text(data: Mapping[str, Any]) -> str:
+    """JSON with finite numbers only: null for NaN and infinity."""
+    return json.dumps(finite(data), indent=2, allow_nan=False)
+
+
+def finite(value: Any) -> Any:
+    """The same nested data with None for what is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    return value
+
+
+def note(text: str) -> None:
+    """A line beside the result, on stderr."""
+    print(f"difffilter: note: {text}", file=sys.stderr)
+
+
+def number(value: Any) -> str:
+    """A number, vector or matrix to six digits."""
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(number(item) for item in value) + "]"
+    return f"{value:.6g}"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
+    """Columns of text, as wide as their widest cell."""
+    lines = [list(head), *map(list, rows)]
+    widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        (indent + "  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True))).rstrip()
+        for line in lines
+    )
+
+
+def comparison_text(comparison: Comparison, scenario: Scenario) -> str:
+    """The comparison's table, and what its reference and its bound are."""
+    system, values = comparison.reference.rsplit(" ", 1)
+    legend = f"Ratios: RMSE divided by that of {system} with {values} values, same trajectories."
+    bounds = [
+        name
+        for name in dict.fromkeys(row.system for row in comparison.rows)
+        if scenario.systems[name].clairvoyant
+    ]
+    if bounds:
+        legend += f" {' and '.join(bounds)}: told of every fault, a bound that no filter can reach."
+    legend += " NEES per state and NIS per channel: 1 where errors are as large as claimed."
+    return f"{comparison.markdown()}\n{legend}\n"

@@ -1,0 +1,166 @@
+"""``difffilter run``: a frozen filter over a log."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from difffilter.cli.logs import not_clairvoyant, note_missing_run
+from difffilter.cli.options import (
+    Commands,
+    check_place,
+    load_named,
+    overrides,
+    shows_progress,
+    with_overrides,
+)
+from difffilter.cli.output import print_json
+from difffilter.cli.values import HELP, read_values, unfit
+from difffilter.errors import InputError
+
+if TYPE_CHECKING:
+    from difffilter.checkpoint import Checkpoint
+    from difffilter.log import Log
+    from difffilter.run import Track
+    from difffilter.scenario.scenario import Scenario
+
+__all__ = ["add"]
+
+EXAMPLE = """\
+examples:
+  difffilter run mine.json log.csv --out estimates.csv --plot track.png
+  difffilter run mine.json log.csv --values published --out estimates.csv
+  difffilter run uwb-ranges my.csv --run los_A1 --out estimates.csv --json
+
+The filter starts from the log's first measurements. Columns written: time, the states,
+<state>_std, <channel>_weight (0 where missing), nis.
+"""
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "run",
+        help="run a checkpoint or a scenario's system over a log",
+        description="Run a checkpoint, or a system of a scenario, over a recorded log.",
+        example=EXAMPLE,
+    )
+    parser.add_argument(
+        "source", metavar="CHECKPOINT_OR_SCENARIO", help="a .json checkpoint; a name or .toml file"
+    )
+    parser.add_argument("log", metavar="LOG.csv", help="time, the channels, truth_<state> or not")
+    parser.add_argument(
+        "--values", metavar="VALUES", help=f"{HELP} (default: the checkpoint's, or published)"
+    )
+    parser.add_argument("--system", metavar="NAME", help="default: the one that is tuned")
+    parser.add_argument("--run", metavar="NAME", help="which [runs] entry (the log's own name)")
+    parser.add_argument("--out", metavar="FILE", required=True, help="CSV of estimates to write")
+    parser.add_argument("--plot", metavar="FILE", help="figure to write, PNG and SVG")
+    parser.add_set()
+    parser.add_json()
+    parser.add_quiet()
+    parser.set_defaults(command=command)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to run: a system of a scenario with values (None: the published ones)."""
+
+    scenario: Scenario
+    system: str
+    label: str
+    values: Checkpoint | None
+
+
+def command(args: Namespace) -> int:
+    """Run, write the estimates and the figure, print a summary."""
+    check_place(args.out)
+    check_place(args.plot)
+    if Path(args.out).resolve() == Path(args.log).resolve():
+        raise InputError(f"--out {args.out}: is the log itself, expected another file")
+    job = _of_run(_job(args), args)
+
+    from difffilter.cli.estimates import summary, write_estimates
+    from difffilter.estimate import estimate, started
+    from difffilter.recorded import load_logs
+
+    log = load_logs(job.scenario, [args.log])
+    system = job.scenario.system(job.system)
+    frozen = job.values.values if job.values else None
+    temperature = job.values.temperature if job.values else None
+    ready = started(system, log, frozen, job.scenario.start.rows)
+    progress = shows_progress(args)
+    track = estimate(system, ready, frozen, temperature=temperature, progress=progress)
+    result = summary(log, track, job.scenario.score)
+    if args.plot:
+        _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, {job.label} values")
+    write_estimates(args.out, log, track)
+    about = {"scenario": job.scenario.name, "system": job.system, "values": job.label}
+    if args.json:
+        print_json({**result, **about, "out": args.out})
+    else:
+        print(f"{job.scenario.name}, {job.system} with {job.label} values: {_text(result)}")
+        print(f"estimates written to {args.out}")
+    return 0
+
+
+def _job(args: Namespace) -> Job:
+    """The scenario, the system and the values that the arguments mean."""
+    held: Checkpoint | None
+    if Path(args.source).suffix == ".json":
+        from difffilter.checkpoint import load
+
+        stored = load(args.source)
+        changes = overrides(args)
+        scenario = with_overrides(stored.scenario, changes)
+        label, own = args.values or args.source, stored.system
+        held = read_values(label, scenario) if args.values else stored
+        for key in changes:
+            if held is not None and key.split(".")[0] == "parameters":
+                raise InputError(f"--set {key}: the values are frozen, expected --values published")
+    else:
+        args.scenario = args.source
+        scenario = load_named(args)
+        label = args.values or "published"
+        held = read_values(label, scenario)
+        own = held.system if held else scenario.tuning.system
+    system = args.system or own
+    scenario.system(system)
+    not_clairvoyant(scenario, system)
+    problem = unfit(held, scenario, system) if held else ""
+    if problem:
+        raise InputError(f"values {label}: {problem}")
+    return Job(scenario, system, label, held)
+
+
+def _of_run(job: Job, args: Namespace) -> Job:
+    """The job with the geometry of the log's run."""
+    from difffilter.recorded import scenario_of_run
+
+    scenario = job.scenario
+    if args.run and args.run not in scenario.runs:
+        expected = f"one of {', '.join(scenario.runs)}" if scenario.runs else "none: it has no runs"
+        raise InputError(f"--run: found {args.run!r}, expected {expected}")
+    name = args.run or Path(args.log).stem
+    note_missing_run(scenario, name)
+    # The run's overrides are in; its name must not apply them again.
+    return replace(job, scenario=replace(scenario_of_run(scenario, name), runs={}))
+
+
+def _plot(path: str, log: Log, track: Track, title: str) -> None:
+    from difffilter.figures.style import save_figure
+    from difffilter.figures.tracks import track_figure
+
+    save_figure(track_figure(log, track, title=title), path)
+
+
+def _text(result: dict[str, Any]) -> str:
+    parts = [f"{result['rows']} rows"]
+    if result["rmse"] is None:
+        parts.append("no truth, so no RMSE")
+    else:
+        parts.append(f"position RMSE {result['rmse']:.4g} m")
+    shares = [f"{name} {100 * share:.1f} %" for name, share in result["rejected"].items()]
+    return f"{', '.join(parts)}\nrejected (weight below 0.1): {', '.join(shares)}"

@@ -1,0 +1,95 @@
+"""``difffilter simulate``: logs with truth."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from difffilter.cli.options import Commands, check_place, load_named, whole
+from difffilter.cli.output import print_json
+from difffilter.errors import InputError
+
+if TYPE_CHECKING:
+    from difffilter.log import Log
+
+__all__ = ["add"]
+
+EXAMPLE = """\
+examples:
+  difffilter simulate airport-mlat --trajectories 100 --seed 7 --out logs
+  difffilter simulate airport-mlat --trajectories 1 --out log.csv --set faults.nlos.scale=50
+
+A folder gets SCENARIO-SEED-0000.csv and so on. difffilter run, compare --log and
+tune --log read the files; their trajectories are none of those that tune and compare draw.
+"""
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "simulate",
+        help="write simulated logs with truth",
+        description="Write simulated logs with truth, one CSV file per trajectory.",
+        example=EXAMPLE,
+    )
+    parser.add_scenario()
+    parser.add_argument("--trajectories", type=whole(1), default=100, help="how many (100)")
+    parser.add_seed(0, "same seed, same logs")
+    parser.add_argument(
+        "--out", metavar="DIR_OR_FILE", required=True, help="folder, or a .csv for one trajectory"
+    )
+    parser.add_json()
+    parser.set_defaults(command=command)
+
+
+def command(args: Namespace) -> int:
+    """Simulate and write."""
+    single = Path(args.out).suffix == ".csv"
+    if single and args.trajectories > 1:
+        raise InputError(
+            f"--out {args.out}: found one file for {args.trajectories} trajectories, "
+            "expected a folder (or --trajectories 1)"
+        )
+    scenario = load_named(args)
+
+    from difffilter.logfile import write_log
+    from difffilter.simulate import simulate
+
+    log = simulate(scenario, args.trajectories, args.seed)
+    folder = Path(args.out)
+    files = [
+        folder if single else folder / f"{scenario.name}-{args.seed}-{i:04d}.csv"
+        for i in range(args.trajectories)
+    ]
+    check_place(str(files[0]))
+    for i, path in enumerate(files):
+        write_log(path, _one(log, i))
+    if args.json:
+        print_json(
+            {
+                "scenario": scenario.name,
+                "trajectories": args.trajectories,
+                "seed": args.seed,
+                "rows": log.steps,
+                "files": [str(path) for path in files],
+            }
+        )
+    else:
+        count = "1 log" if len(files) == 1 else f"{len(files)} logs"
+        print(f"{scenario.name}: {count} of {log.steps} rows with truth in {args.out}")
+    return 0
+
+
+def _one(log: Log, i: int) -> Log:
+    """One trajectory of a batch, without the batch's dimension."""
+    return replace(
+        log,
+        time=log.time if log.time.dim() == 1 else log.time[:, i],
+        z=log.z[:, i],
+        truth=None if log.truth is None else log.truth[:, i],
+        inputs={name: value[:, i] for name, value in log.inputs.items()},
+        start=None,
+        names=(),
+    )

@@ -1,0 +1,57 @@
+"""Sets of values: published, tuned (the package's own), or a checkpoint file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from difffilter.errors import InputError
+from difffilter.files import data_folder
+
+if TYPE_CHECKING:
+    from difffilter.checkpoint import Checkpoint
+    from difffilter.scenario.scenario import Scenario
+
+__all__ = ["HELP", "own_checkpoint", "read_values", "unfit"]
+
+HELP = "published, tuned (the package's own) or a checkpoint file"
+
+
+def own_checkpoint(scenario: Scenario) -> Path:
+    """Where the package keeps its tuned values of a scenario, if it has any."""
+    return data_folder("checkpoints") / f"{scenario.name}.json"
+
+
+def read_values(label: str, scenario: Scenario) -> Checkpoint | None:
+    """The checkpoint behind a label; None for the published values."""
+    from difffilter.checkpoint import load
+
+    if label == "published":
+        return None
+    if label == "tuned":
+        path = own_checkpoint(scenario)
+        if not path.is_file():
+            raise InputError(
+                f"--values tuned: found none for {scenario.name} in the package, "
+                "expected published or a checkpoint file (difffilter tune writes one)"
+            )
+        return load(path)
+    if not Path(label).is_file():
+        raise InputError(f"--values: found {label!r}, expected {HELP}")
+    return load(label)
+
+
+def unfit(checkpoint: Checkpoint, scenario: Scenario, system: str) -> str:
+    """Why a checkpoint's values do not fit a system of the scenario; "" where they do."""
+    if checkpoint.system != system:
+        return f"tuned for system {checkpoint.system}, expected {system}"
+    declared = scenario.system(system).declarations
+    differing = sorted(set(declared) ^ set(checkpoint.values))
+    if differing:
+        return f"do not fit system {system} of {scenario.name} (parameters {', '.join(differing)})"
+    try:
+        for name, parameter in declared.items():
+            parameter.check(checkpoint.values[name])
+    except InputError as error:
+        return str(error)
+    return ""
