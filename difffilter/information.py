@@ -76,10 +76,11 @@ def covariance_factor(normal: Tensor) -> tuple[Tensor, Tensor]:
     scale = torch.where(regular.unsqueeze(-1), diagonal, 1.0).rsqrt()
     scaled = normal * scale.unsqueeze(-1) * scale.unsqueeze(-2)
     scaled = torch.where(regular[..., None, None], scaled, unit)
-    lower, failed = torch.linalg.cholesky_ex(scaled)
-    pivots = lower.diagonal(dim1=-2, dim2=-1).square()
+    pivots, failed = torch.linalg.cholesky_ex(scaled.detach())
     smallest = 32 * torch.finfo(normal.dtype).eps
-    regular = regular & (failed == 0) & (pivots > smallest).all(-1)
-    lower = torch.where(regular[..., None, None], lower, unit)
+    large = pivots.diagonal(dim1=-2, dim2=-1).square() > smallest
+    regular = regular & (failed == 0) & large.all(-1)
+    # A second factor: the gradient through a failed one is NaN, even where it is left out.
+    lower = torch.linalg.cholesky_ex(torch.where(regular[..., None, None], scaled, unit)).L
     inverse = torch.linalg.solve_triangular(lower, unit.expand_as(lower), upper=False)
     return scale.unsqueeze(-1) * inverse.mT, regular

@@ -42,7 +42,7 @@ class Loss:
 def _position(track: Track, log: Log, context: LossContext) -> Tensor:
     """log of the mean squared position error: the minimum of the MSE, free of its scale."""
     rows = scored_rows(log, track, context.score)
-    squared = torch.where(rows, position_error(log, track).nan_to_num(), 0.0)
+    squared = torch.where(rows, position_error(log, track), 0.0)
     return (squared.sum() / rows.sum()).log()
 
 

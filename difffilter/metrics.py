@@ -30,13 +30,18 @@ def _position_states(log: Log, track: Track) -> list[str]:
 
 
 def _difference(log: Log, track: Track, names: list[str]) -> Tensor:
+    """Estimate minus truth; 0 where either is missing, so that no NaN enters a gradient."""
     assert log.truth is not None
-    columns = [log.truth_states.index(name) for name in names]
-    return track.mean[..., track.named(names)] - log.truth[..., columns]
+    truth = log.truth[..., [log.truth_states.index(name) for name in names]]
+    mean = track.mean[..., track.named(names)]
+    return torch.where(torch.isfinite(truth) & torch.isfinite(mean), mean - truth.nan_to_num(), 0.0)
 
 
 def position_error(log: Log, track: Track) -> Tensor:
-    """(T, ...), squared distance of the estimated to the true position, m^2."""
+    """(T, ...), squared distance of the estimated to the true position, m^2.
+
+    0 where there is no truth or no estimate: sum over :func:`scored_rows` only.
+    """
     return _difference(log, track, _position_states(log, track)).square().sum(-1)
 
 
@@ -76,7 +81,7 @@ def nees(log: Log, track: Track, per_position: bool = False) -> Tensor:
         if per_position
         else [name for name in log.truth_states if name in track.states]
     )
-    error = torch.nan_to_num(_difference(log, track, names))
+    error = _difference(log, track, names)
     deviations = track.deviations[..., track.named(names), :]
     covariance = deviations @ deviations.mT
     # Where there is no estimate (NaN rows, never scored) any regular matrix will do.

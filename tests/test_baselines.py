@@ -177,6 +177,21 @@ def test_undetermined_rows_are_nan(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
+def test_gradients_are_finite_beside_undetermined_rows(rng: np.random.Generator, name: str) -> None:
+    log = as_log(simulated(rng))
+    z = log.z.clone()
+    z[3] = NAN
+    z[5, 1, 1:] = NAN
+    values = {k: v.requires_grad_() for k, v in ESTIMATORS[name].published().items()}
+    track = ESTIMATORS[name].estimate(replace(log, z=z), values)
+    fixed = torch.isfinite(track.mean)
+    (track.mean[fixed].sum() + track.std[fixed].sum()).backward()
+    for value in values.values():
+        assert value.grad is not None
+        assert torch.isfinite(value.grad).all()
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
 def test_batch_is_single(rng: np.random.Generator, name: str) -> None:
     log = as_log(simulated(rng))
     batch = ESTIMATORS[name].estimate(log)

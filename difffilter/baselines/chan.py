@@ -53,6 +53,7 @@ def chan(
     present = ~torch.isnan(z)
     d = torch.where(present, z, 0.0)
     axes = stations.shape[-1]
+    enough = present.sum(-1) > axes
     reference = stations[..., 0, :]
     apart = stations[..., 1:, :] - stations[..., :1, :]
     lead = torch.broadcast_shapes(d.shape[:-1], apart.shape[:-2])  # type: ignore[no-untyped-call]
@@ -63,7 +64,9 @@ def chan(
     for iteration in range(iterations + 1):
         normal = design.mT @ weighted
         factor, regular = covariance_factor(normal)
+        known = regular & enough
         u = (factor @ (factor.mT @ (weighted.mT @ target))).squeeze(-1)
+        u = torch.where(known.unsqueeze(-1), u, 1.0)  # a finite gradient without a fix
         if iteration < iterations:
             distance = torch.linalg.vector_norm(u[..., None, :axes] - apart, dim=-1)
             inverse = _away_from_zero(distance).reciprocal().unsqueeze(-1)
@@ -82,7 +85,7 @@ def chan(
         solution = p + shift
     else:
         solution = p.sign() * positive_sqrt((p.square() + 2.0 * p * shift).clamp_min(0.0))
-    known = regular & also_regular & (present.sum(-1) > axes)
+    known = known & also_regular
     return Fix(
         torch.where(known.unsqueeze(-1), solution + reference, torch.nan),
         torch.where(known[..., None, None], deviations, torch.nan),

@@ -88,7 +88,7 @@ def command(args: Namespace) -> int:
     if args.json:
         print(as_json)
     else:
-        data = f"{comparison.trajectories} recorded" if args.log else (
+        data = f"recorded logs: {comparison.trajectories}" if args.log else (
             f"{comparison.trajectories} held-out trajectories, seed {comparison.seed}"
         )  # fmt: skip
         print(f"{scenario.name}: {data}\n\n{text}", end="")

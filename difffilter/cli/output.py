@@ -68,6 +68,6 @@ def comparison_text(comparison: Comparison, scenario: Scenario) -> str:
         if scenario.systems[name].clairvoyant
     ]
     if bounds:
-        legend += f" {' and '.join(bounds)}: told of every fault, a bound that no filter can reach."
+        legend += f" {' and '.join(bounds)}: told of every fault, a bound to aim at, not a filter to deploy."
     legend += " NEES per state and NIS per channel: 1 where errors are as large as claimed."
     return f"{comparison.markdown()}\n{legend}\n"

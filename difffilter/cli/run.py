@@ -95,13 +95,13 @@ def command(args: Namespace) -> int:
     track = estimate(system, ready, frozen, temperature=temperature, progress=progress)
     result = summary(log, track, job.scenario.score)
     if args.plot:
-        _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, {job.label} values")
+        _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, values {job.label}")
     write_estimates(args.out, log, track)
     about = {"scenario": job.scenario.name, "system": job.system, "values": job.label}
     if args.json:
         print_json({**result, **about, "out": args.out})
     else:
-        print(f"{job.scenario.name}, {job.system} with {job.label} values: {_text(result)}")
+        print(f"{job.scenario.name}, {job.system}, values {job.label}: {_text(result)}")
         print(f"estimates written to {args.out}")
     return 0
 

@@ -22,7 +22,7 @@ examples:
 
 Every line "key = value" of the world is a key for --set.
 """
-WORLD = ("world", "sensors", "faults", "start", "motion", "scenes")
+WORLD = ("axes", "inputs", "world", "sensors", "faults", "start", "motion", "scenes", "score")
 
 
 def add(commands: Commands) -> None:

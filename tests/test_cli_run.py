@@ -1,0 +1,139 @@
+"""``difffilter run``: gaps, logs without truth, baselines, overrides, recorded runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_helpers import CHANNELS, TINY, fails, read_columns, strict_json
+
+import difffilter
+from difffilter.cli.main import main
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with a scenario, a log and a checkpoint of the published values."""
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.toml").write_text(TINY)
+    assert main(["simulate", "tiny.toml", "--trajectories", "1", "--out", "log.csv"]) == 0
+    scenario = difffilter.load_scenario("tiny.toml")
+    system = scenario.system("m-ekf")
+    difffilter.save(difffilter.Checkpoint(scenario, "m-ekf", system.published()), "frozen.json")
+    return tmp_path
+
+
+def run(capsys: Any, *arguments: str) -> dict[str, Any]:
+    """The JSON of a run that writes out.csv."""
+    capsys.readouterr()
+    assert main(["run", *arguments, "--out", "out.csv", "--json"]) == 0
+    result: dict[str, Any] = strict_json(capsys.readouterr().out)
+    return result
+
+
+def edit(column: str, row: int | None, text: str) -> None:
+    """Change a field of log.csv, or with ``row`` None leave the column out."""
+    lines = [line.split(",") for line in Path("log.csv").read_text().splitlines()]
+    at = lines[0].index(column)
+    for i, line in enumerate(lines):
+        if row is None:
+            del line[at]
+        elif i == row:
+            line[at] = text
+    Path("log.csv").write_text("\n".join(",".join(line) for line in lines) + "\n")
+
+
+def test_frozen_values_are_the_published_ones_where_frozen_so(place: Path, capsys: Any) -> None:
+    frozen = run(capsys, "frozen.json", "log.csv")
+    kept = Path("out.csv").read_text()
+    assert run(capsys, "frozen.json", "log.csv", "--values", "published")["rmse"] == frozen["rmse"]
+    assert Path("out.csv").read_text() == kept
+    assert run(capsys, "tiny.toml", "log.csv", "--values", "frozen.json")["rmse"] == frozen["rmse"]
+    assert Path("out.csv").read_text() == kept
+
+
+def test_log_without_truth(place: Path, capsys: Any) -> None:
+    for state in ("x", "y", "vx", "vy"):
+        edit(f"truth_{state}", None, "")
+    assert run(capsys, "frozen.json", "log.csv")["rmse"] is None
+    assert main(["run", "frozen.json", "log.csv", "--out", "out.csv"]) == 0
+    assert "no truth, so no RMSE" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("system", ["m-ekf", "taylor-ls"])
+def test_missing_channel_has_weight_zero(place: Path, capsys: Any, system: str) -> None:
+    edit("tdoa_4", 3, "")
+    result = run(capsys, "tiny.toml", "log.csv", "--system", system)
+    got = read_columns(Path("out.csv"))
+    assert got["tdoa_4_weight"][2] == 0.0
+    assert got["tdoa_4_weight"][3] != 0.0
+    assert set(result["rejected"]) == set(CHANNELS)
+    assert result["rejected"]["tdoa_4"] == 0.0
+    if system == "taylor-ls":
+        assert set(got["nis"]) == {None}
+        assert "vx" not in got
+
+
+def test_row_without_estimate_is_empty(place: Path, capsys: Any) -> None:
+    """Least squares has no answer for a row with one range difference."""
+    for channel in CHANNELS[1:]:
+        edit(channel, 5, "")
+    result = run(capsys, "tiny.toml", "log.csv", "--system", "taylor-ls")
+    got = read_columns(Path("out.csv"))
+    assert [got[name][4] for name in ("x", "x_std", "y")] == [None, None, None]
+    assert got["tdoa_2_weight"][4] == 1.0
+    assert result["rows"] == 20
+    assert result["rmse"] > 0
+
+
+def test_wild_value_is_rejected(place: Path, capsys: Any) -> None:
+    edit("tdoa_6", 12, "9000.0")
+    result = run(capsys, "frozen.json", "log.csv")
+    assert read_columns(Path("out.csv"))["tdoa_6_weight"][11] == 0.0
+    assert result["rejected"]["tdoa_6"] >= 0.05 - 1e-6
+
+
+def test_overrides_of_a_checkpoint(place: Path, capsys: Any) -> None:
+    """Its stored document can be overridden; its frozen values cannot."""
+    plain = run(capsys, "frozen.json", "log.csv")
+    more = run(capsys, "frozen.json", "log.csv", "--set", "systems.m-ekf.iterations=1")
+    assert more["rmse"] != plain["rmse"]
+    change = "parameters.tdoa.sigma.value=30"
+    other = run(capsys, "frozen.json", "log.csv", "--set", change, "--values", "published")
+    assert other["rmse"] != plain["rmse"]
+    line = fails(capsys, "run", "frozen.json", "log.csv", "--set", change, "--out", "never.csv")
+    assert "frozen" in line
+    assert not Path("never.csv").exists()
+
+
+def test_recorded_runs_bring_their_positions(tmp_path: Path, capsys: Any) -> None:
+    """The log's name, --run and --set choose the stations; a log of no run gets a note."""
+    truth = [(0.1 * k, -3.0 - 0.05 * k, -4.0 + 0.05 * k) for k in range(40)]
+    runs = difffilter.load_scenario("uwb-ranges").runs
+    stations = runs["los_A2"]["sensors.range.stations"]
+    lines = ["time,range_a3,range_a5,range_a9,range_a12,truth_x,truth_y"]
+    for t, x, y in truth:
+        ranges = [((x - a) ** 2 + (y - b) ** 2 + (1.0 - c) ** 2) ** 0.5 for a, b, c in stations]
+        lines.append(",".join(map(repr, [t, *ranges, x, y])))
+    for name in ("los_A2.csv", "mine.csv"):
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+
+    def error(name: str, *options: str) -> tuple[float, str]:
+        arguments = ["run", "uwb-ranges", str(tmp_path / name), "--json", *options]
+        assert main([*arguments, "--out", str(tmp_path / "out.csv")]) == 0
+        printed = capsys.readouterr()
+        return strict_json(printed.out)["rmse"], printed.err
+
+    assert error("los_A2.csv")[0] < 0.1
+    assert error("los_A2.csv")[1] == ""
+    wrong, noted = error("mine.csv")
+    assert wrong > 0.2
+    assert noted.startswith("difffilter: note: uwb-ranges: log 'mine' is none of the runs los_A1")
+    assert noted.count("\n") == 1
+    assert error("mine.csv", "--run", "los_A2") == error("los_A2.csv")
+    assert error("los_A2.csv", "--run", "los_A1")[0] == wrong
+    assert error("mine.csv", "--set", f"sensors.range.stations={stations}")[0] < 0.1
+    base = difffilter.load_scenario("uwb-ranges").sensors["range"].model
+    given = [list(station) for station in base.stations]  # type: ignore[attr-defined]
+    assert error("los_A2.csv", "--set", f"sensors.range.stations={given}")[0] == wrong
