@@ -172,7 +172,7 @@ CHECKPOINTS: dict[str, tuple[Callable[[str], str], list[str]]] = {
     "format": (_key("format", "other"), ["format", "'other'"]),
     "version": (_key("version", 99), ["version", "99"]),
     "extra key": (_key("extra", 1), ["extra"]),
-    "system": (_key("system", "none"), ["'none'", "m-ekf"]),
+    "baseline": (_key("system", "taylor-ls"), ["'taylor-ls'", "a filter"]),
 }
 
 

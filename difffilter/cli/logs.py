@@ -22,9 +22,10 @@ def read_logs(scenario: Scenario, paths: Sequence[str] | None) -> Log | None:
 
     if not paths:
         return None
+    log = load_logs(scenario, paths)
     for path in paths:
         note_missing_run(scenario, Path(path).stem)
-    return load_logs(scenario, paths)
+    return log
 
 
 def note_missing_run(scenario: Scenario, run: str) -> None:

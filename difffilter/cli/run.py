@@ -80,7 +80,8 @@ def command(args: Namespace) -> int:
     check_place(args.plot)
     if Path(args.out).resolve() == Path(args.log).resolve():
         raise InputError(f"--out {args.out}: is the log itself, expected another file")
-    job = _of_run(_job(args), args)
+    chosen = _job(args)
+    job = _of_run(chosen, args)
 
     from difffilter.cli.estimates import summary, write_estimates
     from difffilter.estimate import estimate, started
@@ -93,6 +94,7 @@ def command(args: Namespace) -> int:
     ready = started(system, log, frozen, job.scenario.start.rows)
     progress = shows_progress(args)
     track = estimate(system, ready, frozen, temperature=temperature, progress=progress)
+    note_missing_run(chosen.scenario, _run_name(args))
     result = summary(log, track, job.scenario.score)
     if args.plot:
         _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, values {job.label}")
@@ -143,10 +145,13 @@ def _of_run(job: Job, args: Namespace) -> Job:
     if args.run and args.run not in scenario.runs:
         expected = f"one of {', '.join(scenario.runs)}" if scenario.runs else "none: it has no runs"
         raise InputError(f"--run: found {args.run!r}, expected {expected}")
-    name = args.run or Path(args.log).stem
-    note_missing_run(scenario, name)
+    name = _run_name(args)
     # The run's overrides are in; its name must not apply them again.
     return replace(job, scenario=replace(scenario_of_run(scenario, name), runs={}))
+
+
+def _run_name(args: Namespace) -> str:
+    return str(args.run or Path(args.log).stem)
 
 
 def _plot(path: str, log: Log, track: Track, title: str) -> None:

@@ -1,0 +1,111 @@
+"""Reports: tables, figures and claims, written as Markdown and JSON by the run that made them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from difffilter.checkpoint import git_commit, library_versions
+from difffilter.figures.style import save_figure
+from difffilter.files import write_atomically
+
+__all__ = ["Report"]
+
+
+class Report:
+    """Collects what an experiment found; :meth:`write` makes report.md and report.json.
+
+    Args:
+        folder: where the report and its figures go.
+        title: heading.
+        settings: of the run, for the JSON (seed, sizes).
+
+    Example:
+        >>> import tempfile
+        >>> report = Report(tempfile.mkdtemp(), "Two filters")
+        >>> report.table("errors", ["system", "RMSE (m)"], [["ekf", 1.25], ["robust", 0.81]])
+        >>> report.claim("robust is better", 0.81 < 1.25, {"ekf": 1.25, "robust": 0.81})
+        >>> report.write().name
+        'report.md'
+    """
+
+    def __init__(
+        self, folder: str | Path, title: str, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        self.folder = Path(folder)
+        self._lines = [f"# {title}", ""]
+        self._data: dict[str, Any] = {
+            "title": title,
+            "settings": dict(settings or {}),
+            "versions": library_versions(),
+            "git_commit": git_commit(),
+            "tables": {},
+            "claims": [],
+            "figures": [],
+        }
+
+    def heading(self, text: str) -> None:
+        """A section."""
+        self._lines += [f"## {text}", ""]
+
+    def text(self, text: str) -> None:
+        """A paragraph."""
+        self._lines += [text, ""]
+
+    def table(self, name: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+        """A table; numbers are shown with three decimals and kept whole in the JSON."""
+        self._lines.append("| " + " | ".join(head) + " |")
+        self._lines.append("|" + "---|" * len(head))
+        self._lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
+        self._lines.append("")
+        self._data["tables"][name] = [dict(zip(head, row, strict=True)) for row in rows]
+
+    def figure(self, figure: Figure, name: str, caption: str) -> None:
+        """A figure, written at once as PNG and SVG."""
+        save_figure(figure, self.folder / name)
+        self._lines += [f"![{caption}]({name}.png)", "", f"*{caption}* ([SVG]({name}.svg))", ""]
+        self._data["figures"].append({"name": name, "caption": caption})
+
+    def claim(self, text: str, held: bool, numbers: Mapping[str, Any]) -> None:
+        """A claim that the run checked, with the numbers that decide it."""
+        self._data["claims"].append({"claim": text, "held": held, "numbers": dict(numbers)})
+
+    def write(self) -> Path:
+        """Write both files; claims stand in a table at the end."""
+        if self._data["claims"]:
+            claims = self._data["claims"]
+            self.heading("Claims checked by this run")
+            self._lines += ["| claim | held | numbers |", "|---|---|---|"]
+            for entry in claims:
+                numbers = ", ".join(f"{k}: {_cell(v)}" for k, v in entry["numbers"].items())
+                held = "yes" if entry["held"] else "**no**"
+                self._lines.append(f"| {entry['claim']} | {held} | {numbers} |")
+            self._lines.append("")
+        path = self.folder / "report.md"
+        write_atomically(path, "\n".join(self._lines))
+        text = json.dumps(_finite(self._data), indent=1, allow_nan=False)
+        write_atomically(self.folder / "report.json", text + "\n")
+        return path
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, float):
+        return f"{value:.3f}" if abs(value) < 1000 else f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return " to ".join(_cell(item) for item in value)
+    return str(value)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

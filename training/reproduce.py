@@ -1,0 +1,92 @@
+"""Runs every experiment and writes report/README.md; ``make reproduce`` calls it.
+
+Experiments run side by side, one per core: each is a process of its own, whose stages drive a
+progress bar here and whose output goes to report/NAME/run.log.
+
+    python training/reproduce.py [--quick] [--seed S] [--out report]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from tqdm import tqdm
+
+HERE = Path(__file__).resolve().parent
+EXPERIMENTS = {"airport-mlat": "airport_mlat.py", "uwb-ranges": "uwb_ranges.py"}
+
+
+def main() -> int:
+    """Run all; exit 1 if one failed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="small sizes")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=HERE.parent / "report")
+    options = parser.parse_args()
+    began = time.monotonic()
+    with ThreadPoolExecutor(max_workers=max(os.cpu_count() or 1, 1)) as pool:
+        jobs = {
+            name: pool.submit(follow, name, script, place, options)
+            for place, (name, script) in enumerate(EXPERIMENTS.items())
+        }
+        codes = {name: job.result() for name, job in jobs.items()}
+    index = write_index(options.out)
+    print(f"\n{time.monotonic() - began:.0f} s; report: {index}")
+    for name, code in codes.items():
+        if code:
+            print(f"{name}: failed with exit code {code}, see {options.out / name / 'run.log'}")
+    return int(any(codes.values()))
+
+
+def follow(name: str, script: str, place: int, options: argparse.Namespace) -> int:
+    """Run one experiment; its ``[i/n] text`` lines drive a bar."""
+    folder = options.out / name
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, str(HERE / script), "--quiet", "--seed", str(options.seed)]
+    command += ["--out", str(folder), *(["--quick"] if options.quick else [])]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    with (
+        (folder / "run.log").open("w") as log,
+        tqdm(desc=name, position=place, unit="stage", bar_format="{desc:14} {n}/{total} |{bar:20}| "
+             "{elapsed} {postfix}") as bar,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                         env=environment) as process,
+    ):  # fmt: skip
+        assert process.stdout is not None
+        for line in process.stdout:
+            log.write(line)
+            log.flush()
+            if line.startswith("["):
+                place_text, _, text = line[1:].partition("]")
+                at, _, total = place_text.partition("/")
+                bar.total, bar.n = int(total), int(at)
+                bar.set_postfix_str(text.strip()[-60:])
+    return process.returncode
+
+
+def write_index(folder: Path) -> Path:
+    """Links to every experiment's report, and its claims."""
+    lines = ["# Reports", ""]
+    for name in EXPERIMENTS:
+        path = folder / name / "report.json"
+        if not path.is_file():
+            lines += [f"- {name}: no report (recordings absent, or the run failed)"]
+            continue
+        claims = json.loads(path.read_text())["claims"]
+        held = sum(claim["held"] for claim in claims)
+        lines += [f"- [{name}]({name}/report.md): {held} of {len(claims)} claims held"]
+        lines += [f"  - not held: {c['claim']}" for c in claims if not c["held"]]
+    index = folder / "README.md"
+    index.write_text("\n".join(lines) + "\n")
+    return index
+
+
+if __name__ == "__main__":
+    sys.exit(main())
