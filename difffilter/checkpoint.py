@@ -212,15 +212,30 @@ def _read_json(path: Path) -> Any:
     def no_constant(text: str) -> NoReturn:
         raise ValueError(f"found {text}, expected finite numbers")
 
+    def finite(text: str) -> float:
+        value = float(text)
+        if not math.isfinite(value):
+            no_constant(text)
+        return value
+
+    def whole(text: str) -> int:
+        finite(text)
+        return int(text)
+
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=no_constant)
+        return json.loads(
+            path.read_text(encoding="utf-8"),
+            parse_constant=no_constant,
+            parse_float=finite,
+            parse_int=whole,
+        )
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from None
     except json.JSONDecodeError as error:
         raise CheckpointError(
             f"{path}, line {error.lineno}: damaged or truncated JSON: {error.msg}"
         ) from None
-    except (UnicodeDecodeError, ValueError) as error:
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
         raise CheckpointError(f"{path}: {error}") from None
 
 

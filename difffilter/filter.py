@@ -176,6 +176,12 @@ class Filter:
             )
         if self.start_sigma is not None:
             sigma, meaning = as_number(self.start_sigma), "initial standard deviation"
+            shape = torch.tensor(sigma).shape
+            if shape not in ((), (len(self.states),)):
+                raise InputError(
+                    f"start.sigma: found shape {list(shape)}, expected one number or "
+                    f"{len(self.states)} numbers"
+                )
             own.append(
                 Parameter(
                     "start.sigma",

@@ -60,8 +60,27 @@ class Log:
             )
         if torch.isinf(self.z).any():
             raise InputError("log: found an infinite measurement, expected finite or missing")
-        if self.truth is not None and self.truth.shape[-1] != len(self.truth_states):
-            raise InputError("log: truth and truth_states differ in length")
+        lead = self.z.shape[:-1]
+        if not lead:
+            raise InputError("log: found measurements without a dimension of time, expected (T, m)")
+        if self.time.shape not in (lead, lead[:1]):
+            raise InputError(
+                f"log: found times of shape {list(self.time.shape)}, expected {list(lead)}"
+            )
+        if not torch.isfinite(self.time).all():
+            raise InputError("log: found a time that is not finite")
+        if self.truth is not None:
+            expected = (*lead, len(self.truth_states))
+            if self.truth.shape != expected:
+                raise InputError(
+                    f"log: found truth of shape {list(self.truth.shape)}, expected {list(expected)}"
+                )
+        for name, value in self.inputs.items():
+            if value.shape[:1] != lead[:1]:
+                raise InputError(
+                    f"log: found input {name} of shape {list(value.shape)}, "
+                    f"expected {self.steps} rows"
+                )
 
     @property
     def steps(self) -> int:

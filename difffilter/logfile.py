@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from difffilter.errors import LogError
+from difffilter.errors import InputError, LogError
 from difffilter.files import write_atomically
 from difffilter.log import Log
 
@@ -33,7 +33,7 @@ def read_log(path: str | Path, channels: Sequence[str], inputs: Sequence[str] = 
     """
     path = Path(path)
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.reader(file))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise LogError(f"{path}: cannot be read as CSV: {error}") from None
@@ -69,7 +69,15 @@ def read_log(path: str | Path, channels: Sequence[str], inputs: Sequence[str] = 
 
 
 def write_log(path: str | Path, log: Log) -> None:
-    """Write one trajectory; :func:`read_log` gives the same numbers back."""
+    """Write one trajectory; :func:`read_log` gives the same numbers back.
+
+    Raises:
+        InputError: a batched log (see :meth:`Log.select`), or a place that cannot be written.
+    """
+    if log.z.dim() != 2 or log.time.dim() != 1:
+        raise InputError(
+            f"{path}: found a log of shape {list(log.z.shape)}, expected one trajectory"
+        )
     columns: dict[str, list[float]] = {"time": log.time.tolist()}
     for i, name in enumerate(log.channels):
         columns[name] = log.z[:, i].tolist()
@@ -110,7 +118,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
     if not text:
         return math.nan
     try:
-        value = float(text)
+        value = float(text) if text.isascii() and "_" not in text else math.nan
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -11,6 +11,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from difffilter.checkpoint import git_commit, library_versions
+from difffilter.compare import Comparison
 from difffilter.figures.style import save_figure
 from difffilter.files import write_atomically
 
@@ -45,6 +46,7 @@ class Report:
             "versions": library_versions(),
             "git_commit": git_commit(),
             "tables": {},
+            "comparisons": {},
             "claims": [],
             "figures": [],
         }
@@ -64,6 +66,11 @@ class Report:
         self._lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
         self._lines.append("")
         self._data["tables"][name] = [dict(zip(head, row, strict=True)) for row in rows]
+
+    def comparison(self, name: str, comparison: Comparison) -> None:
+        """A comparison's table; the JSON keeps every field of its rows."""
+        self._lines += [comparison.markdown(), ""]
+        self._data["comparisons"][name] = comparison.as_dict()
 
     def figure(self, figure: Figure, name: str, caption: str) -> None:
         """A figure, written at once as PNG and SVG."""

@@ -103,6 +103,13 @@ def run(
         raise InputError(
             f"log: found channels {', '.join(log.channels)}, expected {', '.join(filter.channels)}"
         )
+    if not log.steps:
+        raise InputError("log: found no row, expected one or more")
+    for name in ("fault.mean", "fault.variance") if filter.clairvoyant else ():
+        if name not in log.inputs:
+            raise InputError(
+                f"log: found no input {name}, expected what a clairvoyant filter is told"
+            )
     values = dict(values or {})
     values = filter.published(log.z.dtype) | values
     constants = filter.prepare(values, temperature)
@@ -110,8 +117,13 @@ def run(
     if start is None:
         raise InputError("start: found none, expected an initial mean (see from_measurements)")
     at = None if isinstance(start, Belief) else start.time
+    if start.mean.shape[-1:] != (len(filter.states),):
+        raise InputError(
+            f"start: found mean of shape {list(start.mean.shape)}, "
+            f"expected {len(filter.states)} numbers ({', '.join(filter.states)})"
+        )
     current = start if isinstance(start, Belief) else start_belief(filter, constants, start)
-    current = _fit(current, log)
+    current = _fit(current, log, filter.states)
     intervals = log.intervals(at)
     means, deviations, records = [], [], []
     for t in tqdm(range(log.steps), desc="filter", unit="step", delay=2.0, disable=not progress):
@@ -134,10 +146,10 @@ def run(
     return track
 
 
-def _fit(start: Belief, log: Log) -> Belief:
+def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:
     """Expand a single start over the log's trajectories."""
     lead = log.z.shape[1:-1]
-    n = start.mean.shape[-1]
+    n = len(states)
     try:
         mean = start.mean.expand(*lead, n)
     except RuntimeError:

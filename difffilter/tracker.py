@@ -103,10 +103,14 @@ class Tracker:
                 )
             z = [z.get(name) for name in channels]
         if not isinstance(z, Tensor):
-            z = self._tensor([float("nan") if v is None else float(v) for v in z])
+            try:
+                z = self._tensor([float("nan") if v is None else float(v) for v in z])
+            except (TypeError, ValueError):
+                raise InputError(f"z: found {z!r}, expected numbers or None") from None
         row = z.to(self._dtype)
-        if row.shape[-1] != len(channels):
-            raise InputError(f"z: found {row.shape[-1]} numbers, expected {len(channels)}")
+        expected = (*self.belief.mean.shape[:-1], len(channels))
+        if row.shape != expected:
+            raise InputError(f"z: found shape {list(row.shape)}, expected {list(expected)}")
         if bool(torch.isinf(row).any()):
             raise InputError("z: found an infinite number, expected finite or missing")
         return row

@@ -55,6 +55,9 @@ ARGUMENTS = {
     "steps not a number": ("tune tiny.toml --steps many", ["--steps", "'many'"]),
     "no steps": ("tune tiny.toml --steps 0", ["--steps", "'0'", "1 or more"]),
     "many logs in a file": ("simulate tiny.toml --out one.csv", ["one.csv", "100 trajectories"]),
+    "more than memory": (
+        "simulate tiny.toml --out d --trajectories 99999999999", ["memory", "trajectories"],
+    ),
     "file as a folder": ("simulate tiny.toml --out log.csv/logs", ["log.csv"]),
     "recorded only": ("simulate uwb-ranges --out d", ["uwb-ranges", "[world]"]),
     "compare without log": ("compare uwb-ranges", ["uwb-ranges", "--log"]),

@@ -94,6 +94,14 @@ def test_wild_value_is_rejected(place: Path, capsys: Any) -> None:
     assert result["rejected"]["tdoa_6"] >= 0.05 - 1e-6
 
 
+def test_time_beyond_precision_is_one_line(place: Path, capsys: Any) -> None:
+    """A jump of ages in time: some covariance cannot be factored any more."""
+    for row in range(10, 21):
+        edit("time", row, str(1e7 + row))
+    fails(capsys, "run", "frozen.json", "log.csv", "--out", "never.csv")
+    assert not Path("never.csv").exists()
+
+
 def test_overrides_of_a_checkpoint(place: Path, capsys: Any) -> None:
     """Its stored document can be overridden; its frozen values cannot."""
     plain = run(capsys, "frozen.json", "log.csv")

@@ -56,7 +56,7 @@ def main() -> None:
         table = df.compare(scenario, values, held_out, seed + 2, progress=bar)
         report.heading(f"Held out: {name}")
         report.text(f"{held_out} trajectories, seed {seed + 2}, frozen hard form.")
-        report.text(table.markdown())
+        report.comparison(name, table)
         report.table(f"values, {name}", *values_table(result.checkpoint))
         judge(report, name, table)
 

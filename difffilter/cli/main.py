@@ -54,7 +54,24 @@ def main(argv: Sequence[str] | None = None) -> int:
         return BROKEN_PIPE
     except OSError as error:
         return _failed(f"{error.filename or 'output'}: {error.strerror or error}")
+    except RuntimeError as error:
+        reason = _beyond_the_machine(error)
+        if not reason:
+            raise
+        return _failed(reason)
     return code
+
+
+def _beyond_the_machine(error: RuntimeError) -> str:
+    """What to say of an input that asks too much of torch; "" for any other error."""
+    if type(error).__name__ == "_LinAlgError":  # torch is not imported here: that takes a second
+        return (
+            "a covariance cannot be factored: numbers too large or too small, "
+            "expected sound times, noise levels and positions"
+        )
+    if "allocate memory" in str(error):
+        return "not enough memory, expected fewer or shorter trajectories"
+    return ""
 
 
 def _failed(message: str) -> int:

@@ -162,7 +162,7 @@ def _plot(path: str, log: Log, track: Track, title: str) -> None:
 
 
 def _text(result: dict[str, Any]) -> str:
-    parts = [f"{result['rows']} rows"]
+    parts = [f"{result['rows']} row{'s' * (result['rows'] != 1)}"]
     if result["rmse"] is None:
         parts.append("no truth, so no RMSE")
     else:

@@ -58,7 +58,7 @@ def _draw_track(ax: Axes, track: Track, mean: np.ndarray, truth: np.ndarray | No
     ax.plot(mean[0, 0], mean[0, 1], "o", color=COLOURS["published"], ms=5, label="start")
     ax.set(xlabel="x (m)", ylabel="y (m)", title="track")
     ax.set_aspect("equal", adjustable="datalim")
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
 
 
 def _draw_error(
@@ -79,20 +79,18 @@ def _draw_error(
         limit = max(1.3 * span, 1.3 * 3 * float(np.nanmedian(std)))
         ax.set_ylim(-limit, limit)
     ax.set(xlabel="time (s)", ylabel=f"error in {name} (m)", title=f"{name}: estimate - truth")
-    ax.legend(fontsize=8)
+    ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
 
 
 def _draw_weights(ax: Axes, track: Track, time: np.ndarray, weights: np.ndarray | None) -> None:
-    ax.set(
-        xlabel="time (s)", title="measurements: light = accepted, dark = rejected, white = missing"
-    )
-    ax.title.set_fontsize(9)
+    ax.set(xlabel="time (s)", title="weights: dark = rejected, grey = missing")
     ax.grid(False)
     if weights is None:
         ax.text(0.5, 0.5, "no weights", ha="center", transform=ax.transAxes)
         return
+    ax.set_facecolor("#b8b8b8")
     image = ax.pcolormesh(
-        time, np.arange(weights.shape[1]), weights.T, cmap="Blues_r", vmin=0.0, vmax=1.15,
+        time, np.arange(weights.shape[1]), weights.T, cmap="Blues_r", vmin=0.0, vmax=1.0,
         shading="nearest", rasterized=True,
     )  # fmt: skip
     ax.set_yticks(np.arange(weights.shape[1]), track.channels, fontsize=8)

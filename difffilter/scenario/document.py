@@ -134,7 +134,7 @@ def apply_overrides(document: dict[str, Any], overrides: Mapping[str, Any]) -> d
 
 def _enter(table: Any, key: str, path: str) -> Any:
     if isinstance(table, list):
-        if not key.isdigit() or int(key) >= len(table):
+        if not key.isdecimal() or int(key) >= len(table):
             raise InputError(f"{path}: found index {key!r}, expected 0 to {len(table) - 1}")
         return table[int(key)]
     if not isinstance(table, dict):

@@ -94,12 +94,13 @@ def read_fault(name: str, table: Table, channels: Sequence[str]) -> Fault:
     for pattern in patterns:
         if not fnmatch.filter(channels, pattern):
             table.fail("channels", f"patterns that match some of {', '.join(channels)}")
-    windows = table.nested("windows", ())
-    if not all(
-        isinstance(w, tuple) and len(w) == 2 and all(float(v).is_integer() for v in w) and w[0] >= 1
-        for w in windows
-    ):
-        table.fail("windows", "a list of [first, last] steps, from 1")
+    if not patterns:
+        table.fail("channels", "one pattern or more")
+    windows = table.points("windows") if "windows" in table else ()
+    for window in windows:
+        whole = len(window) == 2 and all(step.is_integer() for step in window)
+        if not whole or not 1 <= window[0] <= window[1]:
+            table.fail("windows", "a list of [first, last] steps, from 1, first <= last")
     if kind == "offset":
         size, scale = read_distribution(table, None), table.unit()
         scale *= table.number("scale", 1.0)

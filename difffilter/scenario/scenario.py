@@ -217,6 +217,8 @@ def _read_start(table: Table, simulated: bool) -> StartSpec:
 
 def _read_scene(table: Table) -> Scene:
     scene = Scene(table.text("name"), table.integer("first", low=1), table.integer("last", low=1))
+    if scene.last < scene.first:
+        table.fail("last", f"a step of first = {scene.first} or later")
     table.finish()
     return scene
 
@@ -233,7 +235,7 @@ def _read_reference(table: Table) -> Reference:
 
 
 def _check_parameters(scenario: Scenario) -> None:
-    """Every system builds, and every parameter belongs to one of them."""
+    """Every system and run builds, and every parameter belongs to a system."""
     known = scenario.declarations()
     for name, spec in scenario.parameters.items():
         if name not in known:
@@ -241,8 +243,9 @@ def _check_parameters(scenario: Scenario) -> None:
                 f"{spec.where}: no system has such a parameter, "
                 f"expected one of {', '.join(sorted(known))}"
             )
+    alone = {key: value for key, value in scenario.document.items() if key != "runs"}
     for name, run in scenario.runs.items():
         try:
-            apply_overrides(dict(scenario.document), run)
+            read_scenario(apply_overrides(alone, run), scenario.path)
         except InputError as error:
             raise InputError(f"{scenario.path}: runs.{name}: {error}") from None

@@ -81,11 +81,15 @@ def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
                 unit * part.number("sigma", above=0.0),
             )
         )
+        if schedule[-1].last < schedule[-1].first:
+            part.fail("last", f"a step of first = {schedule[-1].first} or later")
         part.finish()
     noise.finish()
     channels = table.names("channels", ())
     model: PositionSensor
     if kind == "position":
+        if channels and len(channels) != axes:
+            table.fail("channels", f"{axes} names")
         model = Position(name=name, axes=axes, channels=channels, sigma=sigma)
     else:
         stations = table.points("stations")

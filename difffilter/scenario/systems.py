@@ -23,6 +23,17 @@ __all__ = ["MotionSpec", "ParameterSpec", "System", "SystemSpec", "build_system"
 
 ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf")
 ADAPTATIONS = ("innovation-scaling",)
+#: Keys of a system that no baseline reads.
+FILTER_KEYS = (
+    "weight",
+    "standardise",
+    "iterations",
+    "weigh_prior",
+    "mad",
+    "gate",
+    "adaptation",
+    "clairvoyant",
+)
 
 #: What a scenario calls a system: a recursive filter, or a baseline estimator.
 System = Filter | TaylorLeastSquares | ChanLeastSquares | ChanEKF
@@ -51,7 +62,7 @@ class ParameterSpec:
             prior=self.prior,
         )
         try:
-            declared.check(declared.tensor())
+            own.check(declared.tensor())  # own: the shape as well
         except InputError as error:
             raise InputError(f"{self.where}.value: {error}") from None
         return declared
@@ -109,9 +120,14 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
         table.names("sensors", tuple(sensors)),
         table.text("note", ""),
     )
+    if not spec.sensors or len(set(spec.sensors)) != len(spec.sensors):
+        table.fail("sensors", "one name or more, none twice")
     for sensor in spec.sensors:
         if sensor not in sensors:
             table.fail("sensors", f"names among {', '.join(sensors)}")
+    for key in FILTER_KEYS:
+        if key in table and spec.estimator != "filter":
+            table.fail(key, f"no such key beside estimator = {spec.estimator!r}")
     table.finish()
     return spec
 

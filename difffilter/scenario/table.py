@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
@@ -95,9 +96,7 @@ class Table:
         value = self.take(key, expected, default)
         if value is default:
             return value  # type: ignore[no-any-return]
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            self.fail(key, expected)
-        if not math.isfinite(value) or not low <= value <= high or value <= above:
+        if not _is_number(value) or not low <= value <= high or value <= above:
             self.fail(key, expected)
         return float(value)
 
@@ -134,7 +133,10 @@ class Table:
 
         def convert(item: Any) -> Any:
             if isinstance(item, list) and item:
-                return tuple(convert(inner) for inner in item)
+                rows = tuple(convert(inner) for inner in item)
+                if len({len(row) if isinstance(row, tuple) else 0 for row in rows}) > 1:
+                    self.fail(key, expected)
+                return rows
             if not _is_number(item):
                 self.fail(key, expected)
             return float(item)
@@ -143,14 +145,13 @@ class Table:
 
     def points(self, key: str) -> tuple[tuple[float, ...], ...]:
         """A list of points with the same number of coordinates."""
-        expected = "a list of points, each a list of 2 or 3 numbers"
         value = self.nested(key)
-        if (
-            not isinstance(value, tuple)
-            or not all(isinstance(point, tuple) for point in value)
-            or len({len(point) for point in value}) != 1
+        if not (
+            isinstance(value, tuple)
+            and all(isinstance(point, tuple) for point in value)
+            and all(isinstance(number, float) for point in value for number in point)
         ):
-            self.fail(key, expected)
+            self.fail(key, "a list of points, each a list of numbers")
         return value
 
     def names(self, key: str, default: Any = _REQUIRED) -> tuple[str, ...]:
@@ -198,4 +199,6 @@ class Table:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return abs(value) <= sys.float_info.max  # false for NaN; whole numbers can be larger

@@ -147,7 +147,8 @@ class _Job:
         rows = scenario.start.rows
         self.data: Trajectories | Windows
         if log is None:
-            train = started(filter, simulate(scenario, settings.trajectories, seed, "train"))
+            train = simulate(scenario, settings.trajectories, seed, "train")
+            train = started(filter, train, rows=rows)
             check = simulate(scenario, settings.validation, seed, "validation")
             self.check = started(filter, check, rows=rows)
             assert train.start is not None

@@ -1,0 +1,40 @@
+# make reproduce   everything, from an empty checkout to report/
+# make test        lint, formatting, types, tests
+# make bench       speed against JAX (an extra, installed on demand)
+# Each sets up .venv first. QUICK=1 makes reproduce a matter of a minute.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+export OMP_NUM_THREADS ?= 1
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: setup reproduce test lint bench clean
+
+setup: $(VENV)/.ready
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "$(PYTHON) is `$(PYTHON) --version`, expected Python 3.11 or later (make PYTHON=...)"; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
+	touch $@
+
+reproduce: setup
+	$(BIN)/python training/reproduce.py $(if $(QUICK),--quick)
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: setup
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[bench]'
+	OMP_NUM_THREADS= $(BIN)/python training/bench.py
+
+clean:
+	rm -rf $(VENV) report runs
