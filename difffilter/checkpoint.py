@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import platform
-import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -20,6 +16,7 @@ from difffilter.errors import CheckpointError, InputError
 from difffilter.files import write_atomically
 from difffilter.filter import Filter
 from difffilter.parameters import Number
+from difffilter.provenance import git_commit, library_versions
 from difffilter.scenario.scenario import Scenario, read_scenario
 from difffilter.tracker import Tracker
 
@@ -264,29 +261,3 @@ def _plain(value: Tensor) -> Any:
 def _listed(value: Any) -> Any:
     """Nested tuples to nested lists, as JSON has them."""
     return [_listed(item) for item in value] if isinstance(value, tuple) else value
-
-
-def library_versions() -> dict[str, str]:
-    """Versions that can change a number."""
-    return {
-        "difffilter": version("difffilter"),
-        "torch": torch.__version__,
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
-
-
-def git_commit() -> str | None:
-    """Commit of the source tree that the package runs from; None outside one."""
-    try:
-        done = subprocess.run(
-            ["git", "rev-parse", "HEAD"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return done.stdout.strip()

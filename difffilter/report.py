@@ -10,10 +10,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from difffilter.checkpoint import git_commit, library_versions
 from difffilter.compare import Comparison
 from difffilter.figures.style import save_figure
 from difffilter.files import write_atomically
+from difffilter.provenance import git_commit, library_versions
 
 __all__ = ["Report"]
 

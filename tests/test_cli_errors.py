@@ -168,7 +168,7 @@ CHECKPOINTS: dict[str, tuple[Callable[[str], str], list[str]]] = {
     "empty": (lambda content: "", ["damaged"]),
     "not JSON": (lambda content: "schema = 1", ["damaged"]),
     "NaN": (_value("NaN"), ["NaN"]),
-    "infinite": (_value("1e999"), ["tdoa.sigma", "inf"]),
+    "infinite": (_value("1e999"), ["finite number"]),
     "negative sigma": (_value("-1.0"), ["tdoa.sigma", "-1.0"]),
     "wrong shape": (_value("[1.0, 2.0]"), ["tdoa.sigma", "[2]"]),
     "text": (_value('"3.0"'), ["tdoa.sigma", "'3.0'"]),

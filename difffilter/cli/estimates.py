@@ -53,9 +53,10 @@ def _weights(log: Log, track: Track) -> Tensor:
 
 
 def summary(log: Log, track: Track, score: str) -> dict[str, Any]:
-    """Number of rows, position RMSE (None without truth), share rejected per channel."""
-    positions = [n for n in log.truth_states if n in track.states and not n.startswith("v")]
-    error = float(rmse(log, track, score)) if positions else math.nan
+    """Number of rows, position RMSE (None without its truth), share rejected per channel."""
+    positions = {name for name in track.states if not name.startswith("v")}
+    known = log.truth is not None and positions <= set(log.truth_states)
+    error = float(rmse(log, track, score)) if known else math.nan
     return {
         "rows": log.steps,
         "rmse": error if math.isfinite(error) else None,

@@ -48,6 +48,13 @@ class Trajectories:
     def refresh(self, filter: Filter, values: Values, step: int) -> None:
         """Nothing to do: trajectories start where they start."""
 
+    def keep(self) -> dict[str, Tensor]:
+        """Nothing to keep."""
+        return {}
+
+    def restore(self, kept: dict[str, Tensor]) -> None:
+        """Nothing to restore."""
+
 
 @dataclass
 class Windows:
@@ -113,6 +120,23 @@ class Windows:
             torch.cat([b.deviations for b in beliefs]),
             {k: torch.cat([b.memory[k] for b in beliefs]) for k in beliefs[0].memory},
         )
+
+    def keep(self) -> dict[str, Tensor]:
+        """The warm starts, for a resumable state: resuming must not renew them early."""
+        if self.beliefs is None:
+            return {}
+        kept = {"mean": self.beliefs.mean, "deviations": self.beliefs.deviations}
+        return kept | {f"memory.{name}": value for name, value in self.beliefs.memory.items()}
+
+    def restore(self, kept: dict[str, Tensor]) -> None:
+        """Inverse of :meth:`keep`."""
+        if kept:
+            memory = {
+                name.removeprefix("memory."): value
+                for name, value in kept.items()
+                if name.startswith("memory.")
+            }
+            self.beliefs = Belief(kept["mean"], kept["deviations"], memory)
 
     def batch(self, index: Tensor) -> Batch:
         """The useful windows at ``index``."""
