@@ -152,7 +152,7 @@ def compare(
         system, frozen, temperature = scenario.system(name), None, None
         if checkpoint is not None:
             frozen, temperature = checkpoint.values, checkpoint.temperature
-        ready = started(system, held_out, frozen, scenario.start.rows)
+        ready = started(scenario, system, held_out, frozen)
         with torch.no_grad():
             tracks[name, label] = estimate(system, ready, frozen, temperature=temperature)
     return _tabulate(scenario, tracks, held_out, seed if log is None else None)

@@ -32,14 +32,11 @@ class Conditioned(NamedTuple):
 
 
 class ChannelUpdate(NamedTuple):
-    """One channel's update, as the gradient needs it (rows first, batch last)."""
+    """One channel's update, as the gradient needs it: the table before, g and s."""
 
-    joint: Tensor
-    mean: Tensor
-    f: Tensor
+    table: Tensor
     g: Tensor
     s: Tensor
-    root: Tensor
 
 
 def condition(
@@ -73,42 +70,47 @@ def condition(
     Source: J. E. Potter's square-root update, applied to the stacked state and
     predicted measurement [reconstruction].
     """
-    n = deviations.shape[-2]
-    # Rows first, batch last: every operation runs over contiguous trajectories.
-    joint = torch.cat([deviations, observed], dim=-2).movedim((-2, -1), (0, 1)).contiguous()
-    # The means ride along: no shift yet for the state, minus the residual for a channel.
-    mean = torch.cat([torch.zeros_like(deviations[..., 0]), -innovation], dim=-1)
-    mean, weight, noise = (x.movedim(-1, 0).contiguous() for x in (mean, weight, noise))
-    tensors = (joint, mean, weight, noise)
+    tensors = (deviations, observed, innovation, weight, noise)
     # Under torch.func transforms the plain equations run: ChannelSweep has no rule for them.
     transformed = torch._C._are_functorch_transforms_active()
     if not transformed and torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
         from difffilter.condition_gradient import ChannelSweep
 
-        joint, mean = ChannelSweep.apply(*tensors)  # type: ignore[no-untyped-call]
-    else:
-        joint, mean, _ = sweep(*tensors)
-    posterior = joint.movedim((0, 1), (-2, -1))
-    return Conditioned(
-        mean[:n].movedim(0, -1),
-        posterior[..., :n, :],
-        -mean[n:].movedim(0, -1),
-        posterior[..., n:, :],
-    )
+        return Conditioned(*ChannelSweep.apply(*tensors))  # type: ignore[no-untyped-call]
+    return sweep(*tensors)[0]
 
 
 def sweep(
-    joint: Tensor, mean: Tensor, weight: Tensor, noise: Tensor
-) -> tuple[Tensor, Tensor, list[ChannelUpdate]]:
-    """The equations of :func:`condition` on (rows, k, ...), (rows, ...), (m, ...), (m, ...)."""
+    deviations: Tensor, observed: Tensor, innovation: Tensor, weight: Tensor, noise: Tensor
+) -> tuple[Conditioned, list[ChannelUpdate]]:
+    """The equations of :func:`condition`, and what its gradient needs.
+
+    They run on one table with a row for each of [state; channel]: its columns of D, then
+    what is left of the innovation, mu_i being 0 for a state. That last column takes part
+    in the update of D with the gain w / s, the others with w / (s + sqrt(r s)). Columns
+    come first and the batch last, so that every operation runs over contiguous memory.
+    """
+    n, k = deviations.shape[-2:]
+    columns = [x.movedim((-1, -2), (0, 1)) for x in (deviations, observed)]
+    left = [torch.zeros_like(columns[0][0]), innovation.movedim(-1, 0)]
+    table = torch.cat([torch.cat(columns, dim=1), torch.cat(left).unsqueeze(0)])
+    weight, noise = weight.movedim(-1, 0), noise.movedim(-1, 0)
+    root = gain_root(noise, k)
     updates = []
-    first = joint.shape[0] - weight.shape[0]
-    for i, (w, r) in enumerate(zip(weight, noise, strict=True)):
-        f = joint[first + i]
-        g = (joint * f).sum(1)
-        s = torch.addcmul(r, w, g[first + i])
-        root = positive_sqrt(r * s)
-        updates.append(ChannelUpdate(joint, mean, f, g, s, root))
-        mean = torch.addcmul(mean, g, w / s * mean[first + i], value=-1)
-        joint = torch.addcmul(joint, g.unsqueeze(1), w / (s + root) * f, value=-1)
-    return joint, mean, updates
+    for i, (w, r, root_r) in enumerate(zip(weight, noise, root, strict=True), start=n):
+        row = table[:, i : i + 1]
+        f = row[:k]
+        g = (table[:k] * f).sum(0)
+        s = torch.addcmul(r, w, g[i])
+        updates.append(ChannelUpdate(table, g, s))
+        gain = w / torch.addcmul(s, root_r, s.sqrt())
+        table = torch.addcmul(table, g, gain * row, value=-1)
+    rows, residual = table[:k].movedim((0, 1), (-1, -2)), table[k].movedim(0, -1)
+    shift, deviations = -residual[..., :n], rows[..., :n, :]
+    return Conditioned(shift, deviations, residual[..., n:], rows[..., n:, :]), updates
+
+
+def gain_root(noise: Tensor, k: int) -> Tensor:
+    """sqrt(r) beside the k columns of D and 0 beside the last column: (m, k + 1, 1, ...)."""
+    root = positive_sqrt(noise).unsqueeze(1)
+    return torch.cat([root.expand(-1, k, *root.shape[2:]), torch.zeros_like(root)], 1).unsqueeze(2)

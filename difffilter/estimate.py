@@ -9,20 +9,28 @@ from difffilter.filter import Filter
 from difffilter.log import Log, Start
 from difffilter.parameters import Values
 from difffilter.run import Track, run
+from difffilter.start import from_measurements
 
 if TYPE_CHECKING:
+    from difffilter.scenario.scenario import Scenario
     from difffilter.scenario.systems import System
 
 __all__ = ["estimate", "started"]
 
 
-def started(system: System, log: Log, values: Values | None = None, rows: int = 10) -> Log:
-    """The log with a start: its own, else one made from its first measurements."""
+def started(scenario: Scenario, system: System, log: Log, values: Values | None = None) -> Log:
+    """The log with a start: its own, else one from its first measurements.
+
+    How many rows that reads, and how unknown the velocity is, the scenario's ``[start]``
+    says; values are those of the system's parameters, the published ones if missing.
+    """
     if log.start is not None:
         return log
-    from difffilter.start import from_measurements
-
-    return replace(log, start=from_measurements(system, log, values, rows=rows))
+    spec = scenario.start
+    start = from_measurements(
+        system, log, values, rows=spec.rows, velocity_sigma=spec.unknown_velocity
+    )
+    return replace(log, start=start)
 
 
 def estimate(

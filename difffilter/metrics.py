@@ -116,7 +116,7 @@ def rejected(track: Track, below: float = 0.1) -> dict[str, float]:
         return {}
     present = track.record.present.flatten(0, -2)
     low = (track.record.weight.flatten(0, -2) < below) & present
-    share = low.sum(0) / present.sum(0).clamp_min(1)
+    share = low.sum(0).double() / present.sum(0).clamp_min(1)
     return dict(zip(track.channels, share.tolist(), strict=True))
 
 

@@ -47,9 +47,9 @@ class Shifted(TDOA):
 
 FILTERS: dict[str, Filter] = {
     "ekf": make(),
-    "m-ekf": make(weight=tanh, iterations=5),
-    "all rows": make(weight=huber, iterations=4, weigh_prior=True),
-    "mad": make(weight=tanh, iterations=3, weigh_prior=True, mad=True),
+    "m-ekf": make(weight=tanh, iterations=3),
+    "all rows": make(weight=huber, iterations=3, weigh_prior=True),
+    "mad": make(weight=tanh, iterations=2, weigh_prior=True, mad=True),
     "imq": make(weight=imq),
     "igg3": make(weight=igg3, standardise="noise"),
     "gate": make(gate=Gate("reject")),
@@ -74,7 +74,7 @@ def airport_log(
     if missing:
         z[5] = np.nan
     time = np.cumsum(rng.uniform(0.05, 0.15, steps))
-    time[8] = time[7]
+    time[6] = time[5]
     truth = np.swapaxes(data["truth"][:, 1:], 0, 1)
     names = ("x", "y", "vx", "vy")
     start = Start(tensor(data["initial_mean"]), None, 0.0)

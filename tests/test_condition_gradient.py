@@ -62,43 +62,57 @@ def test_weights_under_a_full_noise_covariance_pass_gradcheck(rng: np.random.Gen
 def sweep_inputs(
     rng: np.random.Generator, spread: float, sigma2: float, batch: tuple[int, ...] = (6,)
 ) -> list[Tensor]:
-    """joint (n + m, k, ...), mean, weight, noise for 5 channels, one of them at weight 0."""
-    joint = spread * tensor(rng.standard_normal((9, 4, *batch)))
-    mean = spread * tensor(rng.standard_normal((9, *batch)))
-    weight = tensor(rng.uniform(0.0, 1.0, (5, *batch)))
-    weight[1] = 0.0
-    noise = sigma2 * tensor(rng.uniform(0.5, 2.0, (5, *batch)))
-    return [x.requires_grad_() for x in (joint, mean, weight, noise)]
+    """Inputs of :func:`sweep` with 4 states, 5 channels, one of them at weight 0."""
+    deviations = spread * tensor(rng.standard_normal((*batch, 4, 4)))
+    observed = spread * tensor(rng.standard_normal((*batch, 5, 4)))
+    innovation = spread * tensor(rng.standard_normal((*batch, 5)))
+    weight = tensor(rng.uniform(0.0, 1.0, (*batch, 5)))
+    weight[..., 1] = 0.0
+    noise = sigma2 * tensor(rng.uniform(0.5, 2.0, (*batch, 5)))
+    return [x.requires_grad_() for x in (deviations, observed, innovation, weight, noise)]
 
 
+@pytest.mark.parametrize("batch", [(), (6,), (2, 3)])
 @pytest.mark.parametrize(
-    ("spread", "sigma2"), [(1.0, 1.0), (1e3, 1e-2), (1e3, 1e-4), (1e-3, 1e2), (1.0, 1e-8)]
+    ("spread", "sigma2", "tolerance"),
+    # The derivative towards a weight cancels as spread^2 / sigma2 grows, in autograd as here.
+    [
+        (1.0, 1.0, 1e-12),
+        (1e3, 1e-2, 1e-9),
+        (1e3, 1e-4, 1e-8),
+        (1e-3, 1e2, 1e-12),
+        (1.0, 1e-8, 1e-9),
+    ],
 )
 def test_the_written_gradient_equals_autograd_of_the_equations(
-    rng: np.random.Generator, spread: float, sigma2: float
+    rng: np.random.Generator,
+    spread: float,
+    sigma2: float,
+    tolerance: float,
+    batch: tuple[int, ...],
 ) -> None:
-    inputs = sweep_inputs(rng, spread, sigma2)
-    plain, written = sweep(*inputs)[:2], ChannelSweep.apply(*inputs)
+    inputs = sweep_inputs(rng, spread, sigma2, batch)
+    plain, written = sweep(*inputs)[0], ChannelSweep.apply(*inputs)
     bars = [tensor(rng.standard_normal(x.shape)) for x in plain]
     expected = torch.autograd.grad(plain, inputs, bars)
     found = torch.autograd.grad(written, inputs, bars)
-    for i in range(2):
-        assert torch.equal(plain[i], written[i])
+    for a, b in zip(plain, written, strict=True):
+        assert torch.equal(a, b)
     for a, b in zip(found, expected, strict=True):
-        assert_close(a, b, 1e-10)
+        assert_close(a, b, tolerance)
 
 
 def test_the_written_gradient_equals_autograd_where_the_noise_is_zero(
     rng: np.random.Generator,
 ) -> None:
-    joint, mean, weight, noise = sweep_inputs(rng, 1.0, 1.0)
-    # Four states and five channels, each channel with a noise column of its own.
-    joint = torch.cat([joint.detach(), torch.zeros(9, 5, 6)], dim=1).double()
-    joint[4:, 4:] += torch.eye(5).unsqueeze(-1)
-    inputs = [x.detach().requires_grad_() for x in (joint, mean, weight, 0 * noise)]
-    inputs[2] = torch.ones_like(weight).requires_grad_()
-    bars = [tensor(rng.standard_normal(x.shape)) for x in (joint, mean)]
-    expected = torch.autograd.grad(sweep(*inputs)[:2], inputs, bars)
+    deviations, observed, innovation, weight, noise = sweep_inputs(rng, 1.0, 1.0)
+    # Each channel has a noise column of its own.
+    own = torch.eye(5).double().expand(6, 5, 5)
+    deviations, observed = with_columns(deviations.detach(), observed.detach(), own)
+    inputs = [deviations, observed, innovation, torch.ones_like(weight), 0 * noise]
+    inputs = [x.detach().requires_grad_() for x in inputs]
+    bars = [tensor(rng.standard_normal(x.shape)) for x in sweep(*inputs)[0]]
+    expected = torch.autograd.grad(sweep(*inputs)[0], inputs, bars)
     found = torch.autograd.grad(ChannelSweep.apply(*inputs), inputs, bars)
     for a, b in zip(found, expected, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-10, atol=1e-12)

@@ -112,7 +112,7 @@ def logs(scenario: df.Scenario, options: Namespace, runs: list[str]) -> df.Log:
 def draw(report: Report, run: str, test: df.Log, checkpoint: df.Checkpoint) -> None:
     """Track, errors with 3-sigma bands and weights of a held-out run."""
     with torch.no_grad():
-        track = df.run(checkpoint.filter, df.started(checkpoint.filter, test))
+        track = df.run(checkpoint.filter, df.started(checkpoint.scenario, checkpoint.filter, test))
     caption = f"{run}, held out: tuned on the other three ({BEST})"
     report.figure(track_figure(test, track, 0, caption), f"run-{run}", caption)
 

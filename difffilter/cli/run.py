@@ -91,7 +91,7 @@ def command(args: Namespace) -> int:
     system = job.scenario.system(job.system)
     frozen = job.values.values if job.values else None
     temperature = job.values.temperature if job.values else None
-    ready = started(system, log, frozen, job.scenario.start.rows)
+    ready = started(job.scenario, system, log, frozen)
     progress = shows_progress(args)
     track = estimate(system, ready, frozen, temperature=temperature, progress=progress)
     note_missing_run(chosen.scenario, _run_name(args))

@@ -47,12 +47,15 @@ class StartSpec:
         kind: ``truth`` (simulation only: truth plus normal errors) or ``measurements``.
         position_sigma, velocity_sigma: standard deviation of those errors, m and m/s.
         rows: rows that a start from measurements reads.
+        unknown_velocity: m/s, standard deviation of the velocity in a start from
+            measurements; None for the filter's own ``start.sigma``.
     """
 
     kind: str
     position_sigma: float
     velocity_sigma: float
     rows: int
+    unknown_velocity: float | None
 
 
 @dataclass(frozen=True)
@@ -140,8 +143,8 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
 
     Example:
         >>> from difffilter import load_scenario
-        >>> load_scenario("airport-mlat", {"faults.nlos.scale": 50.0}).faults["nlos"].scale
-        14.9896229
+        >>> load_scenario("airport-mlat", {"world.steps": 1000}).world.steps
+        1000
     """
     document, path = read_document(name)
     return read_scenario(apply_overrides(document, overrides or {}), path)
@@ -210,6 +213,7 @@ def _read_start(table: Table, simulated: bool) -> StartSpec:
         table.number("position_sigma", 0.0, low=0.0),
         table.number("velocity_sigma", 0.0, low=0.0),
         table.integer("rows", 10, low=1),
+        table.number("unknown_velocity", None, above=0.0),
     )
     table.finish()
     return spec

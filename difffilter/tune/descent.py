@@ -44,21 +44,19 @@ class Descent:
     ) -> None:
         self.scenario, self.filter, self.settings, self.seed = scenario, filter, settings, seed
         self.context = LossContext(scenario.score, settings.degrees)
-        rows = scenario.start.rows
         self.data: Trajectories | Windows
         if log is None:
             train = simulate(scenario, settings.trajectories, seed, "train")
-            train = started(filter, train, rows=rows)
+            train = started(scenario, filter, train)
             check = simulate(scenario, settings.validation, seed, "validation")
-            self.check = started(filter, check, rows=rows)
+            self.check = started(scenario, filter, check)
             assert train.start is not None
             self.data = Trajectories(train, train.start, settings.batch)
         else:
-            self.check = started(filter, log, rows=rows)
+            self.check = started(scenario, filter, log)
             assert self.check.start is not None
-            self.data = Windows(
-                log, self.check.start, settings.window, settings.batch, settings.refresh
-            )
+            rows = min(settings.window, log.steps)
+            self.data = Windows(log, self.check.start, rows, settings.batch, settings.refresh)
 
     def fingerprint(self) -> str:
         """Identifies the run for resuming: everything that its result depends on."""

@@ -1,0 +1,292 @@
+"""Whatever is wrong in a scenario is named: file, dotted key, what was found and expected."""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from difffilter.errors import InputError
+from difffilter.scenario.document import read_document
+from difffilter.scenario.scenario import load_scenario, read_scenario
+
+A, U = "airport-mlat", "uwb-ranges"
+TEXT, LIST, TABLE, FLAG = "north", [1.0], {"a": 1.0}, True
+HUGE = 10**400
+
+#: Dotted key, a wrong value, and what the message expects.
+WRONG: list[tuple[str, Any, str]] = [
+    ("name", 5, "a text"),
+    ("title", FLAG, "a text"),
+    ("notes", "one", "a list of texts"),
+    ("score", "some", "one of all, measured"),
+    ("inputs", [1], "a list of texts"),
+    ("schema", 1.0, "a whole number"),
+    ("world", 3, "a table"),
+    ("world.axes", 4, "a whole number from 1 to 3"),
+    ("world.axes", 0, "a whole number of 1 or more"),
+    ("world.dt", 0.0, "a number above 0"),
+    ("world.dt", math.nan, "a number above 0"),
+    ("world.dt", TEXT, "a number above 0"),
+    ("world.dt", FLAG, "a number above 0"),
+    ("world.dt", HUGE, "a number above 0"),
+    ("world.steps", 10.0, "a whole number of 1 or more"),
+    ("world.steps", 0, "a whole number of 1 or more"),
+    ("world.position", [1.0], "a list of 2 numbers"),
+    ("world.position", [1.0, math.inf], "a list of 2 numbers"),
+    ("world.velocity", [1.0, TEXT], "a list of 2 numbers"),
+    ("world.velocity", 3.0, "a list of 2 numbers"),
+    ("world.disturbance", [0.0, 0.0], "a list of 4 numbers"),
+    ("world.disturbance", [0.0, 0.0, -1.0, 0.0], "standard deviations of 0 or more"),
+    ("world.segments", TABLE, "an array of tables"),
+    ("world.jumps", [1], "an array of tables"),
+    ("world.acceleration.distribution", "gauss", "one of constant, uniform, normal"),
+    ("world.acceleration.low", [0.0, 0.0, 0.0], "a number or a list of 2 numbers"),
+    ("world.acceleration.high", [0.0, -20.0], "numbers not below low"),
+    ("world.acceleration.two_sided", 1, "true or false"),
+    ("sensors.tdoa", LIST, "a table"),
+    ("sensors", {}, "one sensor or more"),
+    ("sensors.tdoa.kind", "radar", "one of tdoa, range, position"),
+    ("sensors.tdoa.stations", [[0.0, 0.0], [1.0]], "a number, a list of numbers or a matrix"),
+    ("sensors.tdoa.stations", [[0.0, 0.0], [1.0, 1.0]], "three or more stations"),
+    ("sensors.tdoa.stations", [[0.0], [1.0], [2.0]], "points of 2, or with heights 3, numbers"),
+    ("sensors.tdoa.stations", [0.0, 1.0], "a list of points"),
+    ("sensors.tdoa.stations", [[[0.0]], [[1.0]]], "a list of points"),
+    ("sensors.tdoa.channels", ["a", "b"], "7 names"),
+    ("sensors.tdoa.channels", "a", "a list of texts"),
+    ("sensors.tdoa.height", None, "a number"),
+    ("sensors.tdoa.noise.sigma", -1.0, "a number above 0"),
+    ("sensors.tdoa.noise.unit", "feet", "one of m, km, cm, us, ns, rad, deg"),
+    ("sensors.tdoa.noise.common_sigma", -0.1, "a number of 0 or more"),
+    ("sensors.p", {"kind": "position", "channels": ["a"]}, "2 names"),
+    ("faults.nlos.kind", "jam", "one of offset, zero, dropout"),
+    ("faults.nlos.channels", ["range_*"], "patterns that match some of tdoa_2"),
+    ("faults.nlos.channels", [], "one pattern or more"),
+    ("faults.nlos.probability", 1.5, "a number of 0 or more and at most 1"),
+    ("faults.nlos.duration", 0, "a whole number of 1 or more"),
+    ("faults.nlos.windows", 5, "a list of points"),
+    ("faults.nlos.windows", [[1, 2, 3]], "a list of [first, last] steps"),
+    ("faults.nlos.windows", [[0, 2]], "a list of [first, last] steps"),
+    ("faults.nlos.windows", [[1, 2.5]], "a list of [first, last] steps"),
+    ("faults.nlos.windows", [[9, 2]], "a list of [first, last] steps"),
+    ("faults.nlos.windows", [[1, [2, 3]]], "a number, a list of numbers or a matrix"),
+    ("faults.nlos.joint", "yes", "true or false"),
+    ("faults.nlos.scale", TEXT, "a number"),
+    ("start.kind", "anywhere", "one of truth, measurements"),
+    ("start.rows", 0, "a whole number of 1 or more"),
+    ("start.position_sigma", -1.0, "a number of 0 or more"),
+    ("motion.noise", "white", "one of discrete, continuous"),
+    ("parameters.tdoa", 4.0, "a table"),
+    ("parameters.tdoa.sigma", 4.0, "a table"),
+    ("parameters.tdoa.sigma.value", TEXT, "a number, a list of numbers or a matrix"),
+    ("parameters.tdoa.sigma.value", [], "a number, a list of numbers or a matrix"),
+    ("parameters.tdoa.sigma.value", [[1.0, 2.0], [3.0]], "a number, a list of numbers or a mat"),
+    ("parameters.tdoa.sigma.tuned", "no", "true or false"),
+    ("parameters.tdoa.sigma.prior", 0.0, "a number above 0"),
+    ("parameters.tdoa.sigma.source", 3, "a text"),
+    ("systems", {}, "one system or more"),
+    ("systems.ekf", 1, "a table"),
+    ("systems.ekf.weight", "tukey", "one of plain, huber, igg3, tanh, imq"),
+    ("systems.ekf.standardise", "prior", "one of innovation, noise"),
+    ("systems.ekf.iterations", -1, "a whole number of 0 or more"),
+    ("systems.ekf.gate", "drop", "one of none, reject, reweigh, inflate"),
+    ("systems.ekf.adaptation", "sage-husa", "one of none, innovation-scaling"),
+    ("systems.ekf.estimator", "ukf", "one of filter, taylor-ls, chan-ls, chan-ekf"),
+    ("systems.ekf.clairvoyant", 0, "true or false"),
+    ("systems.ekf.sensors", ["radar"], "names among tdoa"),
+    ("systems.ekf.sensors", [], "one name or more, none twice"),
+    ("systems.ekf.sensors", ["tdoa", "tdoa"], "one name or more, none twice"),
+    ("systems.chan-ls.weight", "huber", "no such key beside estimator = 'chan-ls'"),
+    ("systems.taylor-ls.iterations", 3, "no such key beside estimator = 'taylor-ls'"),
+    ("scenes", [{"name": "a", "first": 5, "last": 2}], "a step of first = 5 or later"),
+    ("runs", 3, "a table"),
+    ("runs.los", 3, "a table"),
+    ("references", [{"system": "x", "rmse": 0.0, "source": "y"}], "a number above 0"),
+    ("tuning.system", "ukf", "one of taylor-ls, chan-ls"),
+    ("tuning.loss", "position", "a table"),
+    ("tuning.loss.rmse", 1.0, "a loss among position, likelihood"),
+    ("tuning.loss.position", -1.0, "a number of 0 or more"),
+    ("tuning.temperature", [0.1, 0.5], "two numbers [first, last] with first >= last > 0"),
+    ("tuning.temperature", [0.5, 0.0], "two numbers [first, last] with first >= last > 0"),
+    ("tuning.temperature", 0.5, "a list of 2 numbers"),
+    ("tuning.batch", 0, "a whole number of 1 or more"),
+    ("tuning.steps", 2.5, "a whole number of 0 or more"),
+    ("tuning.test", 1, "a whole number of 2 or more"),
+    ("tuning.window", 1, "a whole number of 2 or more"),
+    ("tuning.learning_rate", 0.0, "a number above 0"),
+    ("tuning.clip", -1.0, "a number above 0"),
+    ("tuning.patience", 0, "a whole number of 1 or more"),
+    ("tuning.starts", "many", "a whole number of 1 or more"),
+    ("tuning.degrees", 0, "a number above 0"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "expected"), WRONG)
+def test_a_wrong_value_is_named_with_what_was_expected(key: str, value: Any, expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_scenario(A, {key: value})
+    message = str(caught.value)
+    assert "airport-mlat.toml: " in message
+    where, _, rest = message.split("airport-mlat.toml: ")[1].partition(": found ")
+    assert where.startswith(key) or key.startswith(where.rstrip("."))
+    assert f"expected {expected}" in rest
+    assert "\n" not in message
+
+
+#: Key and value; the table in which it stands and the key that was meant (or a known one).
+UNKNOWN: list[tuple[str, str]] = [
+    ("wrold", "world"),
+    ("world.stps", "steps"),
+    ("world.acceleration.hihg", "high"),
+    ("sensors.tdoa.station", "stations"),
+    ("sensors.tdoa.noise.sigm", "sigma"),
+    ("faults.nlos.probabilty", "probability"),
+    ("start.positon_sigma", "position_sigma"),
+    ("motion.nois", "noise"),
+    ("parameters.tdoa.sigma.tune", "tuned"),
+    ("systems.m-ekf.iteration", "iterations"),
+    ("tuning.learning_rat", "learning_rate"),
+]
+
+
+@pytest.mark.parametrize(("key", "meant"), UNKNOWN)
+def test_an_unknown_key_is_refused_with_the_one_that_was_meant(key: str, meant: str) -> None:
+    message = f"airport-mlat.toml: {key}: unknown key, did you mean {meant!r}?"
+    with pytest.raises(InputError, match=re.escape(message)):
+        load_scenario(A, {key: 1.0})
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"world.segments": [{"first": 1, "last": 5, "turn": 3}]},
+        {"world.jumps": [{"step": 1, "when": 2}]},
+        {"scenes": [{"name": "a", "first": 1, "last": 2, "colour": "red"}]},
+        {"sensors.tdoa.noise.schedule": [{"first": 1, "last": 2, "sigma": 1.0, "unit": "m"}]},
+        {"sensors.p": {"kind": "position", "height": 3.0}},
+        {"axes": 2},
+    ],
+)
+def test_a_key_that_the_table_does_not_know_is_refused(overrides: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"unknown key, (expected one of|did you)"):
+        load_scenario(A, overrides)
+
+
+#: Tables in lists, and values that only fit together.
+TOGETHER: list[tuple[str, dict[str, Any], str]] = [
+    (A, {"world.segments": [{"first": 5, "last": 5}]}, "world.segments[0].last: found 5, expected"),
+    (A, {"world.segments": [{"first": 0}]}, "world.segments[0].last: found nothing"),
+    (A, {"world.jumps": [{"step": 0}]}, "world.jumps[0].step: found 0"),
+    (
+        A,
+        {"sensors.tdoa.noise.schedule": [{"first": 4, "last": 3, "sigma": 1.0}]},
+        "sensors.tdoa.noise.schedule[0].last: found 3, expected a step of first = 4 or later",
+    ),
+    (A, {"sensors.more": {"kind": "position", "channels": ["tdoa_2", "b"]}}, "no channel name twi"),
+    (A, {"parameters.imq.k.value": 2.0}, "parameters.imq.k: no system has such a parameter"),
+    (A, {"parameters.huber.k.value": [1.0, 2.0]}, "parameters.huber.k.value: huber.k: found shape"),
+    (A, {"parameters.huber.k.value": -1.0}, "parameters.huber.k.value: huber.k: found -1"),
+    (A, {"parameters.tanh.ab.value": [4.0, 1.5]}, "two numbers [a, b] with 0 < a < b"),
+    (A, {"parameters.prior.floor.value": 1.5}, "a number between 0 and 1"),
+    (A, {"parameters.start.sigma.value": [1.0, 2.0]}, "start.sigma: found shape [2], expected"),
+    (A, {"parameters.tdoa.sigma.value": [1.0, 2.0]}, "tdoa.sigma: found shape [2], expected"),
+    (A, {"parameters.tdoa.bias.value": [1.0, 2.0]}, "tdoa.bias: expected one number or 7"),
+    (A, {"parameters.motion.acceleration.value": [1.0] * 3}, "motion.acceleration: found shape"),
+    (A, {"systems.ekf.mad": True}, "systems.ekf: weigh_prior and mad: expected iterations"),
+    (
+        U,
+        {"faults.f": {"kind": "dropout"}},
+        "faults: found {'f': {'kind': 'dropout'}}, expected non",
+    ),
+    (U, {"start.kind": "truth"}, "start.kind: found 'truth', expected 'measurements'"),
+    (U, {"runs.new": {"sensors.range.stations.9": 1.0}}, "runs.new: sensors.range.stations.9: fou"),
+    (U, {"runs.new": {"sensors.range.hight": 1.0}}, "sensors.range.hight: unknown key, did you"),
+]
+
+
+@pytest.mark.parametrize(("name", "overrides", "message"), TOGETHER)
+def test_what_does_not_fit_together_is_named(
+    name: str, overrides: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        load_scenario(name, overrides)
+    assert f"{name}.toml: " in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["name", "title", "sensors", "systems", "parameters", "world.dt", "world.position",
+     "sensors.tdoa.kind", "sensors.tdoa.stations", "faults.nlos.kind", "faults.nlos.distribution",
+     "world.acceleration.low", "parameters.tdoa.sigma.value"],
+)  # fmt: skip
+def test_a_compulsory_key_is_missed_by_name(key: str) -> None:
+    document, path = read_document(A)
+    table: Any = copy.deepcopy(document)
+    spoiled = table
+    *parents, last = key.split(".")
+    for parent in parents:
+        table = table[parent]
+    del table[last]
+    with pytest.raises(InputError, match=re.escape(f"airport-mlat.toml: {key}: found nothing")):
+        read_scenario(spoiled, path)
+
+
+def test_a_filter_without_process_noise_is_refused() -> None:
+    document, path = read_document(A)
+    document = copy.deepcopy(document)
+    del document["parameters"]["motion"]
+    with pytest.raises(InputError, match=r"systems\.ekf: needs \[parameters\.motion\.acceler"):
+        read_scenario(document, path)
+
+
+def _places(node: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    children = node.items() if isinstance(node, dict) else enumerate(node)
+    found = []
+    for key, value in children:
+        found.append((*path, key))
+        if isinstance(value, (dict, list)):
+            found += _places(value, (*path, key))
+    return found
+
+
+DOCUMENTS = {name: read_document(name) for name in (A, U)}
+PLACES = [(name, place) for name in (A, U) for place in _places(DOCUMENTS[name][0])]
+JUNK = st.recursive(
+    st.one_of(
+        st.none(), st.booleans(), st.integers(-3, 12), st.just(HUGE), st.just(-HUGE),
+        st.floats(), st.text(max_size=4), st.datetimes(),
+        st.sampled_from(["tdoa", "ekf", "m-ekf", "filter", "constant", "zero", "position", "a.b"]),
+    ),
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
+    max_leaves=8,
+)  # fmt: skip
+
+
+@settings(max_examples=250)
+@given(place=st.sampled_from(PLACES), junk=JUNK, more=st.booleans(), key=st.text(max_size=8))
+def test_junk_in_any_place_raises_an_input_error_or_nothing(
+    place: tuple[str, tuple[Any, ...]], junk: Any, more: bool, key: str
+) -> None:
+    name, where = place
+    document = copy.deepcopy(DOCUMENTS[name][0])
+    table: Any = document
+    for step in where[:-1]:
+        table = table[step]
+    if more and isinstance(table, dict):
+        table[key] = junk
+    else:
+        table[where[-1]] = junk
+    try:
+        scenario = read_scenario(document, DOCUMENTS[name][1])
+    except InputError as error:
+        message = str(error)
+    else:
+        message = " ".join(scenario.systems)
+    assert message
