@@ -55,7 +55,7 @@ class Checkpoint:
     Attributes:
         scenario: validated; its document is stored whole, so that the file stands alone.
         system: name of the system.
-        values: frozen physical values by parameter name.
+        values: frozen physical value of every parameter, by name.
         temperature: None for the hard form; else the temperature of the soft one.
         training: loss, seed, settings, data.
         result: the held-out comparison made after tuning.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from difffilter.linalg import positive_sqrt
+from difffilter.linalg import needs_gradient, positive_sqrt
 
 __all__ = ["Conditioned", "condition"]
 
@@ -71,9 +71,7 @@ def condition(
     predicted measurement [reconstruction].
     """
     tensors = (deviations, observed, innovation, weight, noise)
-    # Under torch.func transforms the plain equations run: ChannelSweep has no rule for them.
-    transformed = torch._C._are_functorch_transforms_active()
-    if not transformed and torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
+    if needs_gradient(*tensors):
         from difffilter.condition_gradient import ChannelSweep
 
         return Conditioned(*ChannelSweep.apply(*tensors))  # type: ignore[no-untyped-call]

@@ -55,45 +55,46 @@ class ChannelSweep(torch.autograd.Function):
         if observed_bar is not None:
             table_bar[:k, n:] = observed_bar.movedim((-1, -2), (0, 1))
 
-        # All channels at once, (m, k + 1, 1, ...):  gain = w / (s + root_r sqrt(s))
-        rows = torch.stack([u.table[:, i : i + 1] for i, u in enumerate(updates, start=n)])
+        # All channels at once, (m, k + 1, ...):  gain = w / (s + root_r sqrt(s))
+        rows = torch.stack([u.table[:, i] for i, u in enumerate(updates, start=n)])
         s = torch.stack([u.s for u in updates])
-        root_r, root_s = gain_root(noise, k), s.sqrt()[:, None, None]
-        inverse = 1.0 / torch.addcmul(s[:, None, None], root_r, root_s)
-        gain = weight[:, None, None] * inverse
+        root_r, root_s = gain_root(noise, k).squeeze(2), s.sqrt().unsqueeze(1)
+        inverse = 1.0 / torch.addcmul(s.unsqueeze(1), root_r, root_s)
+        gain = weight.unsqueeze(1) * inverse
         direction = rows * gain
         per_denominator = direction * inverse
         per_s = torch.addcmul(per_denominator, per_denominator, root_r / root_s, value=0.5)
 
-        back, s_bars = [], []
-        for i in reversed(range(len(updates))):
-            table, g, _ = updates[i]
-            # table' = table - g (gain row);  v = -dLoss/d(gain row),  g_bar_minus = -dLoss/dg
-            v = (table_bar * g).sum(1, keepdim=True)
-            minus_g_bar = (table_bar * direction[i]).sum(0)
+        back: list[tuple[Tensor, Tensor]] = []
+        columns_bar, rows_bar = table_bar[:k], table_bar[:, n:].unbind(1)
+        channels = zip(
+            updates, rows[:, :k].unsqueeze(2), gain, direction.unsqueeze(2), per_s, weight, rows_bar, strict=True
+        )
+        for i, (u, f, gain_i, direction_i, per_s_i, w, row_bar) in reversed(
+            list(enumerate(channels, start=n))
+        ):
+            # table' = table - g (gain row);  v = -dLoss/d(gain row)
+            v = (table_bar * u.g).sum(1)
+            minus_g_bar = (table_bar * direction_i).sum(0)
             # s = w g_i + r
-            s_bar = (v * per_s[i]).sum((0, 1))
-            minus_g_bar[n + i].addcmul_(weight[i], s_bar, value=-1)
+            s_bar = (v * per_s_i).sum(0)
+            minus_g_bar[i].addcmul_(w, s_bar, value=-1)
             # g = D f,  f = row i of D
-            minus_f_bar = (table[:k] * minus_g_bar).sum(1)
-            table_bar[:k].addcmul_(minus_g_bar, rows[i, :k], value=-1)
-            table_bar[:, n + i : n + i + 1].addcmul_(v, gain[i], value=-1)
-            table_bar[:k, n + i].sub_(minus_f_bar)
-            back.append(v)
-            s_bars.append(s_bar)
-        back.reverse()
-        s_bars.reverse()
+            minus_f_bar = (u.table[:k] * minus_g_bar).sum(1)
+            columns_bar.addcmul_(minus_g_bar, f, value=-1)
+            row_bar.addcmul_(v, gain_i, value=-1)
+            row_bar[:k].sub_(minus_f_bar)
+            back.append((v, s_bar))
 
-        v, s_bar = torch.stack(back), torch.stack(s_bars)
+        v, s_bar = (torch.stack(parts) for parts in zip(*reversed(back), strict=True))
         g_own = torch.stack([u.g[i] for i, u in enumerate(updates, start=n)])
-        weight_bar = s_bar * g_own - (v * rows * inverse).sum((1, 2))
-        root_bar = (v * per_denominator)[:, :k].sum((1, 2)) * s.sqrt()
+        weight_bar = s_bar * g_own - (v * rows * inverse).sum(1)
+        root_bar = (v * per_denominator)[:, :k].sum(1) * s.sqrt()
         # sqrt(r) has derivative 0 at r = 0
         noise_bar = s_bar + torch.where(noise > 0, 0.5 * root_bar / noise.sqrt(), 0.0)
-        columns_bar = table_bar[:k].movedim((0, 1), (-1, -2))
         return (
-            columns_bar[..., :n, :],
-            columns_bar[..., n:, :],
+            columns_bar[:, :n].movedim((0, 1), (-1, -2)),
+            columns_bar[:, n:].movedim((0, 1), (-1, -2)),
             table_bar[k, n:].movedim(0, -1),
             weight_bar.movedim(0, -1),
             noise_bar.movedim(0, -1),

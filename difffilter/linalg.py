@@ -1,16 +1,33 @@
-"""Factors of covariances that may be singular."""
+"""Factors of covariances that may be singular, and products of small matrices.
+
+Everything runs with the matrix indices first and the batch last in memory: operations on
+many small matrices are then contiguous loops over the batch, several times faster.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-__all__ = ["compress", "positive_sqrt", "semidefinite_cholesky"]
+__all__ = ["compress", "needs_gradient", "positive_sqrt", "product", "semidefinite_cholesky"]
 
 
 def positive_sqrt(x: Tensor) -> Tensor:
     """Square root of x >= 0 whose gradient at x = 0 is zero instead of infinite."""
     return x.clamp_min(torch.finfo(x.dtype).tiny).sqrt()
+
+
+def needs_gradient(*tensors: Tensor) -> bool:
+    """Whether a written backward may stand in for autograd: not under torch.func transforms."""
+    if not torch.is_grad_enabled() or torch._C._are_functorch_transforms_active():
+        return False
+    return any(x.requires_grad for x in tensors)
+
+
+def product(a: Tensor, b: Tensor) -> Tensor:
+    """Matrix product (..., i, j) (..., j, k) -> (..., i, k) of small matrices in large batches."""
+    a, b = a.movedim((-2, -1), (0, 1)), b.movedim((-2, -1), (0, 1))
+    return (a.unsqueeze(2) * b).sum(1).movedim((0, 1), (-2, -1))
 
 
 def semidefinite_cholesky(covariance: Tensor) -> Tensor:
@@ -26,23 +43,34 @@ def semidefinite_cholesky(covariance: Tensor) -> Tensor:
     Returns:
         (..., n, n), lower triangular with a non-negative diagonal.
     """
-    n = covariance.shape[-1]
-    remainder = covariance.movedim((-2, -1), (0, 1)).contiguous()  # rows first, batch last
-    smallest = n * torch.finfo(covariance.dtype).eps * remainder.diagonal().movedim(-1, 0)
-    columns = []
+    return factor(covariance.movedim((-2, -1), (0, 1)).contiguous())[0].movedim((0, 1), (-1, -2))
+
+
+def factor(remainder: Tensor) -> tuple[Tensor, list[Tensor]]:
+    """Of (n, n, ...): the columns of L, (column, row, ...), and the inverse root of each pivot."""
+    n = remainder.shape[0]
+    smallest = n * torch.finfo(remainder.dtype).eps * remainder.diagonal().movedim(-1, 0)
+    zeros = torch.zeros_like(remainder[0])
+    parts, inverse_roots = [], []
     for j in range(n):
-        column = remainder[:, 0]
+        column = remainder[0]
         pivot = column[0]
         regular = pivot > smallest[j]
         inverse_root = torch.where(regular, torch.where(regular, pivot, 1.0).rsqrt(), 0.0)
         column = column * inverse_root
-        columns.append(torch.cat([covariance.new_zeros(j, *pivot.shape), column]))
+        parts += [zeros[:j], column]
+        inverse_roots.append(inverse_root)
         if j + 1 < n:
             below = column[1:]
             remainder = remainder[1:, 1:] - below.unsqueeze(1) * below
-    return torch.stack(columns, dim=1).movedim((0, 1), (-2, -1))
+    return torch.cat(parts).unflatten(0, (n, n)), inverse_roots
 
 
 def compress(deviations: Tensor) -> Tensor:
     """Square factor of the Gram matrix: (..., n, k) -> (..., n, n) with the same X X^T."""
-    return semidefinite_cholesky(deviations @ deviations.mT)
+    if needs_gradient(deviations):
+        from difffilter.compress_gradient import Compress
+
+        lower: Tensor = Compress.apply(deviations)  # type: ignore[no-untyped-call]
+        return lower
+    return semidefinite_cholesky(product(deviations, deviations.mT))

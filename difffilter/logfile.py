@@ -28,7 +28,7 @@ def read_log(path: str | Path, channels: Sequence[str], inputs: Sequence[str] = 
 
     Raises:
         LogError: unreadable file, wrong or missing column, row of the wrong length, text
-            in a number, a number that is not finite, time missing or decreasing; the
+            in a number, a number that is not finite, time missing or not increasing; the
             message names file and line.
     """
     path = Path(path)

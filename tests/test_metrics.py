@@ -1,0 +1,237 @@
+"""Errors, consistency and intervals against NumPy; rows that do not count never do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers import array, assert_close, random_spd, tensor
+from run_cases import FILTERS, airport_log
+
+from difffilter.errors import InputError
+from difffilter.log import Log, stack_logs
+from difffilter.metrics import (
+    bootstrap_interval,
+    nees,
+    nees_states,
+    nis_per_channel,
+    paired_ratio,
+    position_error,
+    rejected,
+    rmse,
+    scored_rows,
+)
+from difffilter.run import Track, run
+
+STATES = ("x", "y", "vx", "vy")
+LOG = airport_log(25, 4, seed=8)
+TRACK = run(FILTERS["m-ekf"], LOG)
+NAN = torch.nan
+
+
+def gaps(log: Log) -> Log:
+    """Truth missing in some rows, wholly in the last trajectory's end."""
+    assert log.truth is not None
+    truth = log.truth.clone()
+    truth[3, 1] = truth[4, 2, 0] = NAN
+    truth[10:, 3] = NAN
+    return replace(log, truth=truth)
+
+
+def known(log: Log) -> np.ndarray:
+    assert log.truth is not None
+    return np.isfinite(array(log.truth)).all(-1)
+
+
+def test_rmse_is_numpys_over_the_rows_with_truth() -> None:
+    log = gaps(LOG)
+    assert log.truth is not None
+    squared = ((array(TRACK.mean) - array(log.truth))[..., :2] ** 2).sum(-1)
+    assert float(rmse(log, TRACK)) == pytest.approx(squared[known(log)].mean() ** 0.5, rel=1e-14)
+    rows = known(log) & array(log.measured)
+    measured = float(rmse(log, TRACK, "measured"))
+    assert measured == pytest.approx(squared[rows].mean() ** 0.5, rel=1e-14)
+    assert rows.sum() < known(log).sum()
+
+
+def test_rows_that_do_not_count_hold_no_error_and_no_nan() -> None:
+    log = gaps(LOG)
+    rows = scored_rows(log, TRACK)
+    assert np.array_equal(array(rows), known(log))
+    for value in (position_error(log, TRACK), nees(log, TRACK)):
+        assert value.isfinite().all()
+    assert not position_error(log, TRACK)[10:, 3].any()
+
+
+def test_padding_of_shorter_logs_never_counts() -> None:
+    single = [LOG.select([i]).rows(0, steps) for i, steps in ((0, 25), (1, 11))]
+    logs = [
+        replace(
+            log, z=log.z[:, 0], truth=log.truth[:, 0] if log.truth is not None else None, start=None
+        )
+        for log in single
+    ]
+    stacked = stack_logs(logs)
+    start = LOG.select([0, 1]).start
+    track = run(FILTERS["m-ekf"], stacked, start=start)
+    assert scored_rows(stacked, track).sum() == 25 + 11
+    parts = [run(FILTERS["m-ekf"], log, start=log.start) for log in single]
+    squared = [position_error(log, part) for log, part in zip(single, parts, strict=True)]
+    together = torch.cat([part.flatten() for part in squared])
+    assert float(rmse(stacked, track)) == pytest.approx(float(together.mean().sqrt()), rel=1e-12)
+
+
+def test_nees_is_numpys() -> None:
+    log = gaps(LOG)
+    assert log.truth is not None
+    error = (array(TRACK.mean) - array(log.truth))[..., None]
+    covariance = array(TRACK.covariance)
+    full = (np.swapaxes(error, -1, -2) @ np.linalg.solve(covariance, error))[..., 0, 0]
+    rows = known(log)
+    assert_close(array(nees(log, TRACK))[rows], full[rows], 1e-9)
+    assert nees_states(log, TRACK) == 4
+    assert nees_states(log, TRACK, per_position=True) == 2
+    error, covariance = error[..., :2, :], covariance[..., :2, :2]
+    position = (np.swapaxes(error, -1, -2) @ np.linalg.solve(covariance, error))[..., 0, 0]
+    assert_close(array(nees(log, TRACK, per_position=True))[rows], position[rows], 1e-10)
+
+
+def test_nees_covers_the_true_states_that_the_system_estimates() -> None:
+    assert LOG.truth is not None
+    log = replace(LOG, truth=LOG.truth[..., [1, 0]], truth_states=("y", "x"))
+    assert nees_states(log, TRACK) == 2
+    assert_close(nees(log, TRACK), nees(LOG, TRACK, per_position=True), 1e-10)
+    assert float(rmse(log, TRACK)) == pytest.approx(float(rmse(LOG, TRACK)), rel=1e-14)
+
+
+def test_nis_is_numpys_per_present_channel() -> None:
+    record = TRACK.record
+    assert record is not None
+    total, count = 0.0, 0
+    for k in range(LOG.steps):
+        for i in range(LOG.trajectories):
+            seen = array(record.present[k, i])
+            z = array(record.observed[k, i])[seen]
+            s = z @ z.T + np.diag(array(record.noise[k, i])[seen])
+            nu = array(record.innovation[k, i])[seen]
+            total, count = total + nu @ np.linalg.solve(s, nu), count + seen.sum()
+            assert float(record.nis[k, i]) == pytest.approx(nu @ np.linalg.solve(s, nu), rel=1e-9)
+    assert float(nis_per_channel(TRACK)) == pytest.approx(total / count, rel=1e-12)
+
+
+def test_a_matched_filter_is_consistent() -> None:
+    log = airport_log(40, 60, missing=0.1, seed=3, nlos=0.0)
+    assert log.start is not None
+    values = {
+        "tdoa.sigma": tensor(2.99792458),
+        "motion.acceleration": tensor([1e-3, 5.7735]),
+        "start.sigma": tensor([3.0, 3.0, 1e-3, 1e-3]),
+    }
+    # The oracle moves by its own step; here measurements of a still target are enough.
+    still = log.truth[:1].expand(40, 60, 4).clone()  # type: ignore[index]
+    still[..., 2:] = 0.0
+    from oracles import airport
+
+    noise = torch.randn(40, 60, 7, generator=torch.Generator().manual_seed(1)).double()
+    z = tensor(airport.range_differences(array(still))) + 2.99792458 * noise
+    start = replace(log.start, mean=still[0] + 3.0 * noise[0, :, :1] * tensor([1.0, 0, 0, 0]))
+    values["motion.acceleration"] = tensor([1e-3, 1e-3])
+    values["start.sigma"] = tensor([3.0, 1e-3, 1e-3, 1e-3])
+    track = run(FILTERS["ekf"], replace(log, z=z, truth=still), values, start)
+    assert float(nis_per_channel(track)) == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_share_of_rejected_measurements_is_counted_per_channel() -> None:
+    record = TRACK.record
+    assert record is not None
+    weight, present = array(record.weight), array(record.present)
+    expected = [
+        ((weight[..., i] < 0.1) & present[..., i]).sum() / present[..., i].sum() for i in range(7)
+    ]
+    found = rejected(TRACK)
+    assert list(found) == list(LOG.channels)
+    assert_close(tensor(list(found.values())), np.array(expected), 1e-12)
+    assert max(found.values()) > 0.05
+    assert rejected(TRACK, below=0.0) == dict.fromkeys(LOG.channels, 0.0)
+
+
+def test_estimators_without_records_have_no_nis_and_no_weights() -> None:
+    bare = replace(TRACK, record=None)
+    assert nis_per_channel(bare).isnan()
+    assert rejected(bare) == {}
+
+
+def test_rows_without_an_estimate_never_count() -> None:
+    mean, deviations = TRACK.mean.clone(), TRACK.deviations.clone()
+    mean[5, 1], deviations[5, 1] = NAN, NAN
+    track = replace(TRACK, mean=mean, deviations=deviations)
+    assert not scored_rows(LOG, track)[5, 1]
+    assert nees(LOG, track).isfinite().all()
+    others = torch.ones(25, 4, dtype=torch.bool)
+    others[5, 1] = False
+    expected = position_error(LOG, TRACK)[others].mean().sqrt()
+    assert float(rmse(LOG, track)) == pytest.approx(float(expected), rel=1e-14)
+
+
+def test_truth_is_needed_by_name() -> None:
+    bare = replace(LOG, truth=None, truth_states=())
+    for metric in (rmse, scored_rows, position_error):
+        with pytest.raises(InputError, match=r"truth: found none, expected truth_x"):
+            metric(bare, TRACK)
+    speeds = replace(LOG, truth=LOG.truth[..., 2:], truth_states=("vx", "vy"))  # type: ignore[index]
+    with pytest.raises(InputError, match="expected truth_x"):
+        rmse(speeds, TRACK)
+
+
+def resampled(squared: np.ndarray, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """4000 RMSEs of resampled trajectories."""
+    total, count = (squared * rows).sum(0), rows.sum(0)
+    at = rng.integers(squared.shape[1], size=(4000, squared.shape[1]))
+    return np.sqrt(total[at].sum(1) / count[at].sum(1))
+
+
+def test_the_bootstrap_interval_is_numpys(rng: np.random.Generator) -> None:
+    squared = rng.gamma(1.0, 2.0, (30, 1)) * rng.gamma(2.0, 1.0, (1, 50))
+    rows = rng.random((30, 50)) < 0.7
+    low, high = bootstrap_interval(tensor(squared), torch.tensor(rows))
+    expected = np.quantile(resampled(squared, rows, rng), [0.025, 0.975])
+    value = np.sqrt(squared[rows].mean())
+    assert low < value < high
+    assert abs(low - expected[0]) < 0.1 * (high - low)
+    assert abs(high - expected[1]) < 0.1 * (high - low)
+    assert bootstrap_interval(tensor(squared), torch.tensor(rows)) == (low, high)
+    assert bootstrap_interval(tensor(squared), torch.tensor(rows), seed=1) != (low, high)
+
+
+def test_the_paired_ratio_cancels_what_trajectories_share(rng: np.random.Generator) -> None:
+    base = rng.gamma(0.5, 4.0, (20, 60))
+    rows = torch.tensor(rng.random((20, 60)) < 0.8)
+    ratio, low, high = paired_ratio(tensor(0.49 * base), tensor(base), rows)
+    assert (ratio, low, high) == (pytest.approx(0.7), pytest.approx(0.7), pytest.approx(0.7))
+    other = rng.gamma(0.5, 4.0, (20, 60))
+    ratio, low, high = paired_ratio(tensor(other), tensor(base), rows)
+    seen = rows.numpy()
+    assert ratio == pytest.approx(np.sqrt(other[seen].mean() / base[seen].mean()), rel=1e-12)
+    assert low < ratio < high
+
+
+def test_missing_rows_carry_no_error_into_an_interval() -> None:
+    squared = torch.full((4, 3), torch.inf, dtype=torch.float64)
+    squared[:2] = 4.0
+    rows = torch.tensor([True, True, False, False]).unsqueeze(-1).expand(4, 3)
+    assert bootstrap_interval(squared, rows) == (2.0, 2.0)
+
+
+def test_the_standard_deviation_of_a_track_is_that_of_its_covariance(
+    rng: np.random.Generator,
+) -> None:
+    covariance = random_spd(rng, 4, 3)
+    deviations = tensor(np.linalg.cholesky(covariance))
+    track = Track(STATES, (), torch.zeros(3), torch.zeros(3, 4), deviations)
+    assert_close(track.covariance, covariance, 1e-13)
+    assert_close(track.std, np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1)), 1e-13)
+    assert track.named(("vy", "x")) == [3, 0]
+    with pytest.raises(InputError, match="state: found 'z', expected one of x, y, vx, vy"):
+        track.named(("z",))

@@ -1,0 +1,72 @@
+"""The experiments run from end to end, at small sizes, on the public interface alone."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import difffilter as df
+
+ROOT = Path(__file__).resolve().parent.parent
+TRAINING = ROOT / "training"
+UWB = ROOT.parent / "shared" / "data" / "uwb_ranges"
+PUBLIC = {"difffilter", "difffilter.report", "difffilter.metrics", "difffilter.files"}
+
+
+def run_quick(script: str, out: Path) -> dict:
+    """Run an experiment with --quick; returns its report.json."""
+    command = [sys.executable, str(TRAINING / script), "--quick", "--quiet", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads((out / "report.json").read_text())
+
+
+def test_the_airport_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("airport_mlat.py", tmp_path)
+    assert len(report["tables"]["reference values"]) == 30
+    assert len(report["comparisons"]) == 3
+    for figure in report["figures"]:
+        assert (tmp_path / f"{figure['name']}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{figure['name']}.svg").is_file()
+    for stem in ("airport-mlat", "airport-mlat-intermittent", "airport-mlat-literal-50ns"):
+        assert df.load(tmp_path / f"{stem}.json").system == "m-ekf"
+
+
+@pytest.mark.skipif(not UWB.is_dir(), reason="no UWB recordings in ../shared/data/uwb_ranges")
+def test_the_uwb_experiment_runs_all_four_rotations(tmp_path: Path) -> None:
+    report = run_quick("uwb_ranges.py", tmp_path)
+    rows = report["tables"]["held-out runs"]
+    assert {row["run"] for row in rows} == {"los_A1", "los_A2", "nlos_A1", "nlos_A2"}
+    assert len([row for row in rows if row["values"].startswith("tuned")]) == 12
+    assert set(df.load(tmp_path / "uwb-ranges.json").values) == {
+        "motion.acceleration",
+        "range.sigma",
+        "range.bias",
+        "imq.k",
+        "start.sigma",
+    }
+
+
+def test_without_recordings_the_uwb_experiment_says_that_it_is_skipped(tmp_path: Path) -> None:
+    command = [sys.executable, str(TRAINING / "uwb_ranges.py"), "--data", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stdout.startswith(f"skipped: no recordings in {tmp_path}")
+
+
+@pytest.mark.parametrize("script", sorted(TRAINING.glob("*.py")), ids=lambda path: path.stem)
+def test_training_scripts_use_only_the_public_interface(script: Path) -> None:
+    for node in ast.walk(ast.parse(script.read_text())):
+        names = []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        for name in names:
+            if name.startswith("difffilter"):
+                assert name in PUBLIC or name.startswith("difffilter.figures"), name
