@@ -23,8 +23,8 @@ from difffilter.recorded import load_logs
 from difffilter.run import Track, run
 from difffilter.scenario.document import scenario_names
 from difffilter.scenario.scenario import Scenario, load_scenario
-from difffilter.sensor import FunctionSensor
-from difffilter.sensors import TDOA, Position, Range
+from difffilter.sensor import FunctionSensor, wrap
+from difffilter.sensors import TDOA, Position, PositionSensor, Range
 from difffilter.simulate import simulate
 from difffilter.start import from_measurements
 from difffilter.step import step
@@ -54,6 +54,7 @@ __all__ = [
     "Parameter",
     "ParameterSet",
     "Position",
+    "PositionSensor",
     "Range",
     "Record",
     "Scenario",
@@ -88,5 +89,6 @@ __all__ = [
     "step",
     "tanh",
     "tune",
+    "wrap",
     "write_log",
 ]

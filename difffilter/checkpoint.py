@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import CheckpointError, InputError
-from difffilter.files import write_atomically
+from difffilter.files import json_text, write_atomically
 from difffilter.filter import Filter
 from difffilter.parameters import Number
 from difffilter.provenance import git_commit, library_versions
@@ -123,10 +123,11 @@ def save(checkpoint: Checkpoint, path: str | Path) -> None:
     Raises:
         InputError: a value outside its constraint, or a place that cannot be written.
     """
-    for name, parameter in checkpoint.published_filter.declarations.items():
+    declarations = checkpoint.published_filter.declarations
+    _same_keys(Path(path), "values", checkpoint.values, set(declarations))
+    for name, parameter in declarations.items():
         parameter.check(checkpoint.values[name])
-    text = json.dumps(checkpoint.as_dict(), indent=2, allow_nan=False)
-    write_atomically(path, text + "\n")
+    write_atomically(path, json_text(checkpoint.as_dict()) + "\n")
 
 
 def load(path: str | Path) -> Checkpoint:
@@ -158,9 +159,12 @@ def load(path: str | Path) -> Checkpoint:
         fail("temperature", temperature, "null or a number above 0")
     try:
         scenario = read_scenario(data["document"], Path(f"{path} (document)"))
-        system = scenario.system(data["system"])
     except InputError as error:
         raise CheckpointError(str(error)) from None
+    try:
+        system = scenario.system(data["system"])
+    except InputError as error:
+        raise CheckpointError(f"{path}: {error}") from None
     if not isinstance(system, Filter):
         fail("system", data["system"], "a filter")
     if data["scenario"] != scenario.name:

@@ -12,31 +12,32 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from difffilter.linalg import factor, product
+from difffilter.linalg import factor, gram, product
 
 __all__ = ["Compress"]
 
 
 class Compress(torch.autograd.Function):
-    """X -> L with L L^T = X X^T, with its own backward."""
+    """X_1, X_2, ... -> L with L L^T the sum of X_i X_i^T, with its own backward."""
 
     @staticmethod
-    def forward(ctx: Any, deviations: Tensor) -> Tensor:
-        """Factor the Gram matrix; keep X, the columns of L and its pivots' inverse roots."""
-        gram = product(deviations, deviations.mT)
-        columns, inverse_roots = factor(gram.movedim((-2, -1), (0, 1)))
-        ctx.save_for_backward(deviations, columns, *inverse_roots)
+    def forward(ctx: Any, *blocks: Tensor) -> Tensor:
+        """Factor the Gram matrix; keep the X_i, the columns of L, the pivots' inverse roots."""
+        columns, inverse_roots = factor(gram(blocks).movedim((-2, -1), (0, 1)))
+        ctx.blocks = len(blocks)
+        ctx.save_for_backward(*blocks, columns, *inverse_roots)
         return columns.movedim((0, 1), (-1, -2))
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, lower_bar: Tensor) -> Tensor:
+    def backward(ctx: Any, lower_bar: Tensor) -> tuple[Tensor, ...]:
         """Undo the elimination column by column; ``x_bar`` = dLoss/dx.
 
         With P' = the remainder without its first row and column: c = p_1 / sqrt(p_11),
         P' = P_below - c_below c_below^T. ``gram_bar`` is kept symmetric.
         """
-        deviations, columns, *inverse_roots = ctx.saved_tensors
+        blocks = ctx.saved_tensors[: ctx.blocks]
+        columns, *inverse_roots = ctx.saved_tensors[ctx.blocks :]
         n = columns.shape[0]
         columns_bar = lower_bar.movedim((-1, -2), (0, 1))
         gram_bar = torch.empty_like(columns)
@@ -48,5 +49,10 @@ class Compress(torch.autograd.Function):
             half = c_bar * half_root
             gram_bar[j, j:] = half
             gram_bar[j:, j] = half
-            gram_bar[j, j] = torch.addcmul(2 * half[0], (half * c).sum(0), inverse_roots[j], value=-1)
-        return product(2 * gram_bar.movedim((0, 1), (-2, -1)), deviations)
+            gram_bar[j, j] = torch.addcmul(
+                2 * half[0], (half * c).sum(0), inverse_roots[j], value=-1
+            )
+        twice = 2 * gram_bar.movedim((0, 1), (-2, -1))
+        lead = twice.shape[:-2]
+        bars = [product(twice, x.expand(*lead, *x.shape[-2:])) for x in blocks]
+        return tuple(bar.sum_to_size(x.shape) for bar, x in zip(bars, blocks, strict=True))

@@ -32,9 +32,9 @@ class Conditioned(NamedTuple):
 
 
 class ChannelUpdate(NamedTuple):
-    """One channel's update, as the gradient needs it: the table before, g and s."""
+    """One channel's update, as the gradient needs it: its row before, g and s."""
 
-    table: Tensor
+    row: Tensor
     g: Tensor
     s: Tensor
 
@@ -80,7 +80,7 @@ def condition(
 
 def sweep(
     deviations: Tensor, observed: Tensor, innovation: Tensor, weight: Tensor, noise: Tensor
-) -> tuple[Conditioned, list[ChannelUpdate]]:
+) -> tuple[Conditioned, Tensor, list[ChannelUpdate]]:
     """The equations of :func:`condition`, and what its gradient needs.
 
     They run on one table with a row for each of [state; channel]: its columns of D, then
@@ -96,19 +96,21 @@ def sweep(
     root = gain_root(noise, k)
     updates = []
     for i, (w, r, root_r) in enumerate(zip(weight, noise, root, strict=True), start=n):
-        row = table[:, i : i + 1]
-        f = row[:k]
+        row = table[:, i]
+        f = row[:k].unsqueeze(1)
         g = (table[:k] * f).sum(0)
         s = torch.addcmul(r, w, g[i])
-        updates.append(ChannelUpdate(table, g, s))
         gain = w / torch.addcmul(s, root_r, s.sqrt())
-        table = torch.addcmul(table, g, gain * row, value=-1)
-    rows, residual = table[:k].movedim((0, 1), (-1, -2)), table[k].movedim(0, -1)
-    shift, deviations = -residual[..., :n], rows[..., :n, :]
-    return Conditioned(shift, deviations, residual[..., n:], rows[..., n:, :]), updates
+        updates.append(ChannelUpdate(row, g, s))
+        table = torch.addcmul(table, g, (gain * row).unsqueeze(1), value=-1)
+    rows, left_over = table[:k].movedim((0, 1), (-1, -2)), table[k].movedim(0, -1)
+    conditioned = Conditioned(
+        -left_over[..., :n], rows[..., :n, :], left_over[..., n:], rows[..., n:, :]
+    )
+    return conditioned, table, updates
 
 
 def gain_root(noise: Tensor, k: int) -> Tensor:
-    """sqrt(r) beside the k columns of D and 0 beside the last column: (m, k + 1, 1, ...)."""
+    """sqrt(r) beside the k columns of D and 0 beside the last column: (m, k + 1, ...)."""
     root = positive_sqrt(noise).unsqueeze(1)
-    return torch.cat([root.expand(-1, k, *root.shape[2:]), torch.zeros_like(root)], 1).unsqueeze(2)
+    return torch.cat([root.expand(-1, k, *root.shape[2:]), torch.zeros_like(root)], dim=1)

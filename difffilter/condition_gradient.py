@@ -23,10 +23,11 @@ class ChannelSweep(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *tensors: Tensor) -> tuple[Tensor, ...]:
-        """Run the sweep and keep each channel's intermediate values."""
-        conditioned, updates = sweep(*tensors)
+        """Run the sweep; keep the final table and a row of it per channel, not every table."""
+        conditioned, table, updates = sweep(*tensors)
         weight, noise = (x.movedim(-1, 0) for x in tensors[3:])
-        ctx.save_for_backward(weight, noise, *(tensor for update in updates for tensor in update))
+        rows, g, s = (torch.stack(parts) for parts in zip(*updates, strict=True))
+        ctx.save_for_backward(weight, noise, table, rows, g, s)
         ctx.set_materialize_grads(False)
         return tuple(conditioned)
 
@@ -40,10 +41,10 @@ class ChannelSweep(torch.autograd.Function):
         observed_bar: Tensor | None,
     ) -> tuple[Tensor, ...]:
         """Gradients towards the five inputs (``x_bar`` = dLoss/dx)."""
-        weight, noise, *saved = ctx.saved_tensors
-        updates = [ChannelUpdate(*saved[i : i + 3]) for i in range(0, len(saved), 3)]
-        table = updates[0].table
-        k, n = table.shape[0] - 1, table.shape[1] - len(updates)
+        weight, noise, table, rows, g, s = ctx.saved_tensors
+        m, k = rows.shape[0], rows.shape[1] - 1
+        n = table.shape[1] - m
+        table = table.clone()
 
         table_bar = torch.zeros_like(table)
         if shift_bar is not None:
@@ -56,39 +57,44 @@ class ChannelSweep(torch.autograd.Function):
             table_bar[:k, n:] = observed_bar.movedim((-1, -2), (0, 1))
 
         # All channels at once, (m, k + 1, ...):  gain = w / (s + root_r sqrt(s))
-        rows = torch.stack([u.table[:, i] for i, u in enumerate(updates, start=n)])
-        s = torch.stack([u.s for u in updates])
-        root_r, root_s = gain_root(noise, k).squeeze(2), s.sqrt().unsqueeze(1)
+        root_r, root_s = gain_root(noise, k), s.sqrt().unsqueeze(1)
         inverse = 1.0 / torch.addcmul(s.unsqueeze(1), root_r, root_s)
         gain = weight.unsqueeze(1) * inverse
-        direction = rows * gain
-        per_denominator = direction * inverse
+        gain_rows = rows * gain
+        per_denominator = gain_rows * inverse
         per_s = torch.addcmul(per_denominator, per_denominator, root_r / root_s, value=0.5)
 
-        back: list[tuple[Tensor, Tensor]] = []
-        columns_bar, rows_bar = table_bar[:k], table_bar[:, n:].unbind(1)
+        columns, columns_bar, rows_bar = table[:k], table_bar[:k], table_bar[:, n:].unbind(1)
         channels = zip(
-            updates, rows[:, :k].unsqueeze(2), gain, direction.unsqueeze(2), per_s, weight, rows_bar, strict=True
+            g,
+            rows[:, :k].unsqueeze(2),
+            gain,
+            gain_rows.unsqueeze(2),
+            per_s,
+            weight,
+            rows_bar,
+            strict=True,
         )
-        for i, (u, f, gain_i, direction_i, per_s_i, w, row_bar) in reversed(
+        back: list[tuple[Tensor, Tensor]] = []
+        for i, (g_i, f, gain_i, gain_row, per_s_i, w, row_bar) in reversed(
             list(enumerate(channels, start=n))
         ):
-            # table' = table - g (gain row);  v = -dLoss/d(gain row)
-            v = (table_bar * u.g).sum(1)
-            minus_g_bar = (table_bar * direction_i).sum(0)
+            # table' = table - g gain_row;  v = -dLoss/d(gain_row)
+            table.addcmul_(g_i, gain_row)
+            v = (table_bar * g_i).sum(1)
+            minus_g_bar = (table_bar * gain_row).sum(0)
             # s = w g_i + r
             s_bar = (v * per_s_i).sum(0)
             minus_g_bar[i].addcmul_(w, s_bar, value=-1)
             # g = D f,  f = row i of D
-            minus_f_bar = (u.table[:k] * minus_g_bar).sum(1)
+            minus_f_bar = (columns * minus_g_bar).sum(1)
             columns_bar.addcmul_(minus_g_bar, f, value=-1)
             row_bar.addcmul_(v, gain_i, value=-1)
             row_bar[:k].sub_(minus_f_bar)
             back.append((v, s_bar))
 
         v, s_bar = (torch.stack(parts) for parts in zip(*reversed(back), strict=True))
-        g_own = torch.stack([u.g[i] for i, u in enumerate(updates, start=n)])
-        weight_bar = s_bar * g_own - (v * rows * inverse).sum(1)
+        weight_bar = s_bar * g[:, n:].diagonal().movedim(-1, 0) - (v * rows * inverse).sum(1)
         root_bar = (v * per_denominator)[:, :k].sum(1) * s.sqrt()
         # sqrt(r) has derivative 0 at r = 0
         noise_bar = s_bar + torch.where(noise > 0, 0.5 * root_bar / noise.sqrt(), 0.0)

@@ -24,6 +24,7 @@ def started(scenario: Scenario, system: System, log: Log, values: Values | None 
     How many rows that reads, and how unknown the velocity is, the scenario's ``[start]``
     says; values are those of the system's parameters, the published ones if missing.
     """
+    log = log.only(system.channels)
     if log.start is not None:
         return log
     spec = scenario.start
@@ -43,6 +44,7 @@ def estimate(
     progress: bool = False,
 ) -> Track:
     """Estimates of a filter or a baseline over a log (see :func:`difffilter.run`)."""
+    log = log.only(system.channels)
     if isinstance(system, Filter):
         return run(system, log, values, start, temperature=temperature, progress=progress)
     return system.estimate(log, values, start, progress=progress)

@@ -1,16 +1,18 @@
-"""Files that are whole or absent, and the data that travel with the package."""
+"""Files that are whole or absent, JSON of finite numbers, and the package's own data."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from difffilter.errors import InputError
 
-__all__ = ["data_folder", "write_atomically"]
+__all__ = ["data_folder", "json_text", "write_atomically"]
 
 
 def write_atomically(path: str | Path, content: str | bytes | Callable[[BinaryIO], None]) -> None:
@@ -52,3 +54,19 @@ def data_folder(name: str) -> Path:
     package = Path(__file__).parent
     inside = package / name
     return inside if inside.is_dir() else package.parent / name
+
+
+def json_text(data: Mapping[str, Any]) -> str:
+    """JSON with finite numbers only: null for NaN and infinity."""
+    return json.dumps(_finite(data), indent=2, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    """The same nested data with None for what is not finite."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return value

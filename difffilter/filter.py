@@ -99,10 +99,11 @@ class Filter:
     Attributes:
         motion, sensors: the models; channels are those of the sensors, in order.
         weight: weight function of the measurement rows.
-        standardise: residuals divided by the ``innovation``'s or the ``noise``'s sigma.
+        standardise: residuals divided by the ``innovation``'s or the ``noise``'s sigma;
+            None for ``noise`` in the M-EKF and ``innovation`` otherwise.
         iterations: 0 weighs the innovation once; n > 0 is the M-EKF (paper 3, eqs. 15-27):
             start at weight 1, then n reweightings from the residuals of the current
-            estimate, whitened by the noise, the prior fixed throughout.
+            estimate (the paper whitens them by the noise), the prior fixed throughout.
         weigh_prior: whether the M-EKF weighs the prediction's residuals too.
         mad: whether the M-EKF divides residuals by 1.48 times their median absolute
             deviation (over measurement rows, and prior rows if weighed).
@@ -128,7 +129,7 @@ class Filter:
     motion: Motion
     sensors: tuple[Sensor, ...]
     weight: Weight = plain
-    standardise: str = "innovation"
+    standardise: str | None = None
     iterations: int = 0
     weigh_prior: bool = False
     mad: bool = False
@@ -139,6 +140,9 @@ class Filter:
     overrides: Mapping[str, Parameter] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.standardise is None:
+            default = "noise" if self.iterations else "innovation"
+            object.__setattr__(self, "standardise", default)
         if self.standardise not in STANDARDISATIONS:
             expected = " or ".join(STANDARDISATIONS)
             raise InputError(f"standardise: found {self.standardise!r}, expected {expected}")

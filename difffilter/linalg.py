@@ -6,10 +6,21 @@ many small matrices are then contiguous loops over the batch, several times fast
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
-__all__ = ["compress", "needs_gradient", "positive_sqrt", "product", "semidefinite_cholesky"]
+__all__ = [
+    "components",
+    "compress",
+    "join",
+    "needs_gradient",
+    "positive_sqrt",
+    "product",
+    "semidefinite_cholesky",
+    "square_norms",
+]
 
 
 def positive_sqrt(x: Tensor) -> Tensor:
@@ -25,9 +36,30 @@ def needs_gradient(*tensors: Tensor) -> bool:
 
 
 def product(a: Tensor, b: Tensor) -> Tensor:
-    """Matrix product (..., i, j) (..., j, k) -> (..., i, k) of small matrices in large batches."""
-    a, b = a.movedim((-2, -1), (0, 1)), b.movedim((-2, -1), (0, 1))
+    """Matrix product (..., i, j) (..., j, k) -> (..., i, k) of small matrices in large batches.
+
+    Leading dimensions broadcast; further rows of b are left out.
+    """
+    rank = max(a.dim(), b.dim())
+    a, b = (x[(None,) * (rank - x.dim())] for x in (a, b))
+    a, b = a.movedim((-2, -1), (0, 1)), b.movedim((-2, -1), (0, 1))[: a.shape[-1]]
     return (a.unsqueeze(2) * b).sum(1).movedim((0, 1), (-2, -1))
+
+
+def square_norms(rows: Tensor) -> Tensor:
+    """Sum of squares of each row, (..., m, k) -> (..., m)."""
+    return rows.movedim((-2, -1), (0, 1)).square().sum(1).movedim(0, -1)
+
+
+def components(vectors: Tensor, count: int) -> Tensor:
+    """The first components of vectors, (..., n) -> (..., count)."""
+    return vectors.movedim(-1, 0)[:count].movedim(0, -1)
+
+
+def join(parts: Sequence[Tensor], dim: int, core: int = 2) -> Tensor:
+    """``torch.cat`` along one of the last ``core`` dimensions (dim = -1 or -2)."""
+    first, last = tuple(range(core)), tuple(range(-core, 0))
+    return torch.cat([x.movedim(last, first) for x in parts], dim=core + dim).movedim(first, last)
 
 
 def semidefinite_cholesky(covariance: Tensor) -> Tensor:
@@ -52,25 +84,31 @@ def factor(remainder: Tensor) -> tuple[Tensor, list[Tensor]]:
     smallest = n * torch.finfo(remainder.dtype).eps * remainder.diagonal().movedim(-1, 0)
     zeros = torch.zeros_like(remainder[0])
     parts, inverse_roots = [], []
-    for j in range(n):
+    for j, least in enumerate(smallest):
         column = remainder[0]
-        pivot = column[0]
-        regular = pivot > smallest[j]
-        inverse_root = torch.where(regular, torch.where(regular, pivot, 1.0).rsqrt(), 0.0)
+        # A zero pivot: 1 / sqrt(infinity), whose derivative is zero too.
+        pivot = torch.where(column[0] > least, column[0], torch.inf)
+        inverse_root = pivot.rsqrt()
         column = column * inverse_root
         parts += [zeros[:j], column]
         inverse_roots.append(inverse_root)
         if j + 1 < n:
             below = column[1:]
-            remainder = remainder[1:, 1:] - below.unsqueeze(1) * below
-    return torch.cat(parts).unflatten(0, (n, n)), inverse_roots
+            remainder = torch.addcmul(remainder[1:, 1:], below.unsqueeze(1), below, value=-1)
+    return torch.cat(parts).reshape(n, n, *zeros.shape[1:]), inverse_roots
 
 
-def compress(deviations: Tensor) -> Tensor:
-    """Square factor of the Gram matrix: (..., n, k) -> (..., n, n) with the same X X^T."""
-    if needs_gradient(deviations):
+def compress(*blocks: Tensor) -> Tensor:
+    """Square factor of the Gram matrix of [X_1, X_2, ...]: (..., n, k_i) -> (..., n, n)."""
+    if needs_gradient(*blocks):
         from difffilter.compress_gradient import Compress
 
-        lower: Tensor = Compress.apply(deviations)  # type: ignore[no-untyped-call]
+        lower: Tensor = Compress.apply(*blocks)  # type: ignore[no-untyped-call]
         return lower
-    return semidefinite_cholesky(product(deviations, deviations.mT))
+    return semidefinite_cholesky(gram(blocks))
+
+
+def gram(blocks: Sequence[Tensor]) -> Tensor:
+    """Sum of X_i X_i^T, (..., n, n)."""
+    first, *more = (product(x, x.mT) for x in blocks)
+    return sum(more, first)

@@ -132,6 +132,22 @@ class Log:
             names=tuple(self.names[i] for i in at.tolist()) if self.names else (),
         )
 
+    def only(self, channels: Sequence[str]) -> Log:
+        """The log with some of its channels, in the given order; InputError if one is absent."""
+        if tuple(channels) == self.channels:
+            return self
+        for name in channels:
+            if name not in self.channels:
+                raise InputError(
+                    f"log: found channels {', '.join(self.channels)}, expected {name} among them"
+                )
+        at = [self.channels.index(name) for name in channels]
+        per_channel = {
+            name: value[..., at] if name.startswith("fault.") else value
+            for name, value in self.inputs.items()
+        }
+        return replace(self, channels=tuple(channels), z=self.z[..., at], inputs=per_channel)
+
     def rows(self, first: int, last: int) -> Log:
         """Rows first..last-1, without the prescribed start unless first is 0."""
         return replace(

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from difffilter.errors import InputError
 from difffilter.log import Log
+from difffilter.motion import AXES
 from difffilter.run import Track
 from difffilter.seeds import stream
 
@@ -23,9 +24,12 @@ __all__ = [
 
 
 def _position_states(log: Log, track: Track) -> list[str]:
-    names = [name for name in log.truth_states if name in track.states and not name.startswith("v")]
-    if log.truth is None or not names:
-        raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
+    names = [name for name in track.states if name in AXES]
+    missing = [name for name in names if name not in log.truth_states]
+    if log.truth is None or not names or missing:
+        found = ", ".join(f"truth_{name}" for name in log.truth_states) or "none"
+        expected = " and ".join(f"truth_{name}" for name in names or AXES)
+        raise InputError(f"truth: found {found}, expected {expected}")
     return names
 
 

@@ -113,14 +113,18 @@ class ConstantVelocity:
         return {"motion.factor": factor}
 
     def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
-        position, velocity = mean[..., : self.axes], mean[..., self.axes :]
-        return torch.cat([position + dt.unsqueeze(-1) * velocity, velocity], dim=-1)
+        return self.move(mean.movedim(-1, 0), dt).movedim(0, -1)
 
     def propagate(
         self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Values
     ) -> Tensor:
-        position, velocity = deviations[..., : self.axes, :], deviations[..., self.axes :, :]
-        return torch.cat([position + dt[..., None, None] * velocity, velocity], dim=-2)
+        rows = deviations.movedim((-2, -1), (0, 1))
+        return self.move(rows, dt).movedim((0, 1), (-2, -1))
+
+    def move(self, rows: Tensor, dt: Tensor) -> Tensor:
+        """F times anything with the states first and the trajectories last."""
+        position, velocity = rows[: self.axes], rows[self.axes :]
+        return torch.cat([position + dt * velocity, velocity])
 
     def noise(self, dt: Tensor, constants: Values) -> Tensor:
         factor, step = constants["motion.factor"], dt[..., None, None]

@@ -8,8 +8,10 @@ from pathlib import Path
 
 import torch
 
+from difffilter.errors import LogError
 from difffilter.log import Log, stack_logs
 from difffilter.logfile import read_log
+from difffilter.motion import ConstantVelocity
 from difffilter.scenario.scenario import Scenario
 from difffilter.sensors import Range
 
@@ -44,6 +46,13 @@ def load_logs(scenario: Scenario, paths: Sequence[str | Path], run: str | None =
 def _load(scenario: Scenario, path: Path, run: str | None) -> Log:
     own = scenario_of_run(scenario, run or path.stem)
     log = read_log(path, own.channels, own.inputs)
+    known = ConstantVelocity(own.axes).states
+    for name in log.truth_states:
+        if name not in known:
+            raise LogError(
+                f"{path}, line 1: found column 'truth_{name}', "
+                f"expected truth_<state> of {', '.join(known)}"
+            )
     inputs = dict(log.inputs)
     for sensor in own.sensors.values():
         if isinstance(sensor.model, Range):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 
 from difffilter.compare import Comparison
 from difffilter.figures.style import save_figure
-from difffilter.files import write_atomically
+from difffilter.files import json_text, write_atomically
 from difffilter.provenance import git_commit, library_versions
 
 __all__ = ["Report"]
@@ -95,8 +94,7 @@ class Report:
             self._lines.append("")
         path = self.folder / "report.md"
         write_atomically(path, "\n".join(self._lines))
-        text = json.dumps(_finite(self._data), indent=1, allow_nan=False)
-        write_atomically(self.folder / "report.json", text + "\n")
+        write_atomically(self.folder / "report.json", json_text(self._data) + "\n")
         return path
 
 
@@ -108,11 +106,3 @@ def _cell(value: Any) -> str:
     if isinstance(value, (list, tuple)):
         return " to ".join(_cell(item) for item in value)
     return str(value)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

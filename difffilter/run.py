@@ -125,10 +125,11 @@ def run(
     current = start if isinstance(start, Belief) else start_belief(filter, constants, start)
     current = _fit(current, log, filter.states)
     intervals = log.intervals(at)
+    rows = log.z.movedim(-1, 1).contiguous().movedim(1, -1)  # trajectories last in memory
     means, deviations, records = [], [], []
     for t in tqdm(range(log.steps), desc="filter", unit="step", delay=2.0, disable=not progress):
         inputs = {name: value[t] for name, value in log.inputs.items()}
-        row = Measurement(log.z[t], intervals[t], inputs)
+        row = Measurement(rows[t], intervals[t], inputs)
         current, record = step(filter, constants, current, row)
         means.append(current.mean)
         deviations.append(current.deviations)

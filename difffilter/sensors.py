@@ -14,6 +14,7 @@ from torch import Tensor
 
 from difffilter.constraints import Positive
 from difffilter.errors import InputError
+from difffilter.linalg import components, positive_sqrt, product
 from difffilter.parameters import Number, Parameter, Values, as_number
 from difffilter.sensor import Inputs, Noise, NoiseAndBias, difference
 
@@ -69,14 +70,15 @@ class PositionSensor:
         raise NotImplementedError
 
     def predict(self, state: Tensor, inputs: Inputs, constants: Values) -> Tensor:
-        h, _ = self.measure(state[..., : self.axes], inputs, constants)
+        h, _ = self.measure(components(state, self.axes), inputs, constants)
         return h + constants[f"{self.name}.bias"]
 
     def observe(
         self, state: Tensor, deviations: Tensor, inputs: Inputs, constants: Values
     ) -> tuple[Tensor, Tensor]:
-        h, gradient = self.measure(state[..., : self.axes], inputs, constants)
-        return h + constants[f"{self.name}.bias"], gradient @ deviations[..., : self.axes, :]
+        h, gradient = self.measure(components(state, self.axes), inputs, constants)
+        predicted = h + constants[f"{self.name}.bias"]
+        return predicted, product(gradient, deviations)
 
     def residual(self, z: Tensor, predicted: Tensor) -> Tensor:
         return difference(z, predicted)
@@ -128,14 +130,25 @@ class Range(PositionSensor):
     def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
         key = f"{self.name}.stations"
         stations = inputs[key] if key in inputs else constants[key]
-        apart = position.unsqueeze(-2) - stations[..., : self.axes]
-        square = apart.square().sum(-1)
-        if stations.shape[-1] > self.axes:
-            square = square + (self.height - stations[..., self.axes]).square()
-        distance = square.clamp_min(torch.finfo(square.dtype).tiny).sqrt()
+        # Leading dimensions broadcast: first make their number equal.
+        rank = max(position.dim(), stations.dim() - 1)
+        position = position[(None,) * (rank - position.dim())]
+        stations = stations[(None,) * (rank + 1 - stations.dim())]
+        # Stations and coordinates first, trajectories last in memory.
+        stations = stations.movedim((-2, -1), (0, 1))
+        apart = position.movedim(-1, 0) - stations[:, : self.axes]
+        square = apart.square().sum(1)
+        if stations.shape[1] > self.axes:
+            square = square + (self.height - stations[:, self.axes]).square()
+        distance = positive_sqrt(square)
         # Divide by 1 at a station: the gradient of the unit vector stays finite there.
         length = torch.where(square > 0, distance, 1.0)
-        return distance, apart / length.unsqueeze(-1)
+        unit = apart / length.unsqueeze(1)
+        return self.of(distance).movedim(0, -1), self.of(unit).movedim((0, 1), (-2, -1))
+
+    def of(self, stations: Tensor) -> Tensor:
+        """A quantity per channel from one per station (the first dimension)."""
+        return stations
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,9 +187,5 @@ class TDOA(Range):
             constants[f"{self.name}.total"] = constants[f"{self.name}.total"] + sigma.square()
         return constants
 
-    def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
-        distance, gradient = super().measure(position, inputs, constants)
-        return (
-            distance[..., 1:] - distance[..., :1],
-            gradient[..., 1:, :] - gradient[..., :1, :],
-        )
+    def of(self, stations: Tensor) -> Tensor:
+        return stations[1:] - stations[:1]

@@ -53,7 +53,8 @@ def simulate(
         dim=-1,
     )
     mean, variance = torch.zeros_like(z), torch.zeros_like(z)
-    for name, fault in scenario.faults.items():
+    # Dropouts last: what is missing stays missing.
+    for name, fault in sorted(scenario.faults.items(), key=lambda item: item[1].kind == "dropout"):
         generator = stream(seed, purpose, "fault", name)
         z, added_mean, added_variance = fault.strike(z, scenario.channels, generator)
         mean, variance = mean + added_mean, variance + added_variance

@@ -12,7 +12,7 @@ from torch import Tensor
 from difffilter.belief import Belief, Measurement, Record
 from difffilter.condition import Conditioned, condition
 from difffilter.filter import Filter, Linearised
-from difffilter.linalg import compress
+from difffilter.linalg import compress, join, square_norms
 from difffilter.parameters import Values
 
 __all__ = ["predict", "step"]
@@ -58,10 +58,10 @@ def predict(
     motion, dt, inputs = filter.motion, measurement.dt, measurement.inputs
     mean = motion.transition(belief.mean, dt, inputs, constants)
     moved = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
-    process = motion.noise(dt, constants).expand(*mean.shape[:-1], -1, -1)
+    process = motion.noise(dt, constants)
     if filter.adaptation is not None:
         process = filter.adaptation.before_predict(belief.memory, process, constants)
-    return mean, compress(torch.cat([moved, process], dim=-1))
+    return mean, compress(moved, process)
 
 
 def _linearise(
@@ -86,7 +86,7 @@ def _linearise(
         independent.append(noise.independent.expand_as(predicted))
         total.append(noise.total.expand_as(predicted))
         common.append(noise.common)
-    innovation, r, r_total = (_join(parts, -1) for parts in (innovations, independent, total))
+    innovation, r, r_total = (_join(parts, -1, 1) for parts in (innovations, independent, total))
     if filter.clairvoyant:
         variance = inputs["fault.variance"]
         known = torch.isfinite(variance)
@@ -94,7 +94,7 @@ def _linearise(
         extra = torch.where(known, variance, 0.0)
         innovation = torch.where(present, innovation - inputs["fault.mean"], 0.0)
         r, r_total = r + extra, r_total + extra
-    z_deviations = _join(observed, -2)
+    z_deviations = _join(observed, -2, 2)
     columns = sum(block.shape[-1] for block in common)
     if columns:
         shared = torch.block_diag(*common)  # type: ignore[no-untyped-call]
@@ -108,7 +108,7 @@ def _weigh_once(
     filter: Filter, constants: Values, linear: Linearised, present: Tensor
 ) -> tuple[Conditioned, Record]:
     """Weights from the nominal innovation, one conditioning."""
-    variance = linear.observed.square().sum(-1) + linear.independent
+    variance = square_norms(linear.observed) + linear.independent
     scale = variance if filter.standardise == "innovation" else linear.total
     s = linear.innovation / scale.sqrt()
     weight, gate = _gated(filter, constants, filter.weight(s, constants, _soft(constants)), linear)
@@ -141,12 +141,15 @@ def _reweigh(
     gate = torch.ones_like(weight)
     prior_weight = torch.ones_like(linear.mean)
     s = linear.innovation
+    spread = linear.total
+    if filter.standardise == "innovation":
+        spread = square_norms(linear.observed) + linear.independent
     conditioned = _condition(linear, deviations, linear.observed, weight)
     for _ in range(filter.iterations):
         residual = conditioned.residual
         if linear.common:
             residual = linear.innovation - conditioned.shift[..., rows:]
-        s = residual / linear.total.sqrt()
+        s = residual / spread.sqrt()
         prior_s = -conditioned.shift[..., n:rows]
         if filter.mad:
             scale = _mad_scale(torch.cat([torch.where(present, s, torch.nan), prior_s], dim=-1))
@@ -171,7 +174,9 @@ def _condition(
     linear: Linearised, deviations: Tensor, observed: Tensor, weight: Tensor
 ) -> Conditioned:
     """Condition so that a weight means R_ii -> R_ii / w, also for the common part of R."""
-    noise = linear.independent + (1.0 - weight) * (linear.total - linear.independent)
+    noise = linear.independent
+    if linear.common:
+        noise = noise + (1.0 - weight) * (linear.total - linear.independent)
     return condition(deviations, observed, linear.innovation, weight, noise)
 
 
@@ -180,7 +185,7 @@ def _gated(
 ) -> tuple[Tensor, Tensor]:
     if filter.gate is None:
         return weight, torch.ones_like(weight)
-    variance = linear.observed.square().sum(-1) + linear.independent
+    variance = square_norms(linear.observed) + linear.independent
     nis = linear.innovation.square() / variance
     share = linear.total / variance
     return filter.gate.weigh(weight, nis, constants, _soft(constants), share)
@@ -209,8 +214,8 @@ def _record(
     )
 
 
-def _join(parts: list[Tensor], dim: int) -> Tensor:
-    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=dim)
+def _join(parts: list[Tensor], dim: int, core: int) -> Tensor:
+    return parts[0] if len(parts) == 1 else join(parts, dim, core)
 
 
 def _soft(constants: Values) -> Tensor | None:

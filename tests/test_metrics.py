@@ -11,6 +11,7 @@ from helpers import array, assert_close, random_spd, tensor
 from run_cases import FILTERS, airport_log
 
 from difffilter.errors import InputError
+from difffilter.filter import Filter
 from difffilter.log import Log, stack_logs
 from difffilter.metrics import (
     bootstrap_interval,
@@ -24,6 +25,8 @@ from difffilter.metrics import (
     scored_rows,
 )
 from difffilter.run import Track, run
+from difffilter.scenario.scenario import load_scenario
+from difffilter.simulate import simulate
 
 STATES = ("x", "y", "vx", "vy")
 LOG = airport_log(25, 4, seed=8)
@@ -121,26 +124,21 @@ def test_nis_is_numpys_per_present_channel() -> None:
     assert float(nis_per_channel(TRACK)) == pytest.approx(total / count, rel=1e-12)
 
 
-def test_a_matched_filter_is_consistent() -> None:
-    log = airport_log(40, 60, missing=0.1, seed=3, nlos=0.0)
-    assert log.start is not None
+def test_a_filter_that_knows_the_noise_is_consistent() -> None:
+    keys = {"faults.nlos.probability": 0.0, "world.steps": 40}
+    scenario = load_scenario("airport-mlat", keys)
+    log = simulate(scenario, 100, seed=3)
     values = {
-        "tdoa.sigma": tensor(2.99792458),
-        "motion.acceleration": tensor([1e-3, 5.7735]),
-        "start.sigma": tensor([3.0, 3.0, 1e-3, 1e-3]),
+        "motion.acceleration": tensor([0.01, 10.0 / 3**0.5]),
+        "start.sigma": tensor([3.0, 3.0, 0.01, 0.01]),
     }
-    # The oracle moves by its own step; here measurements of a still target are enough.
-    still = log.truth[:1].expand(40, 60, 4).clone()  # type: ignore[index]
-    still[..., 2:] = 0.0
-    from oracles import airport
-
-    noise = torch.randn(40, 60, 7, generator=torch.Generator().manual_seed(1)).double()
-    z = tensor(airport.range_differences(array(still))) + 2.99792458 * noise
-    start = replace(log.start, mean=still[0] + 3.0 * noise[0, :, :1] * tensor([1.0, 0, 0, 0]))
-    values["motion.acceleration"] = tensor([1e-3, 1e-3])
-    values["start.sigma"] = tensor([3.0, 1e-3, 1e-3, 1e-3])
-    track = run(FILTERS["ekf"], replace(log, z=z, truth=still), values, start)
+    system = scenario.system("ekf")
+    assert isinstance(system, Filter)
+    track = run(system, log, values)
     assert float(nis_per_channel(track)) == pytest.approx(1.0, abs=0.03)
+    assert float(nees(log, track, per_position=True).mean() / 2) == pytest.approx(1.0, abs=0.1)
+    proud = run(system, log, values | {"tdoa.sigma": tensor(1.5)})
+    assert float(nis_per_channel(proud)) > 2.0
 
 
 def test_the_share_of_rejected_measurements_is_counted_per_channel() -> None:

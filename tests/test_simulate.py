@@ -156,6 +156,15 @@ def test_changing_a_fault_leaves_all_other_draws_as_they_were(change: dict[str, 
     assert not torch.equal(after.z, before.z)
 
 
+def test_two_faults_strike_independently_of_each_other() -> None:
+    twin = {"kind": "zero", "probability": 0.1}
+    log = simulate(world(faults__twin=twin), 200, seed=3)
+    zeroed, delayed = log.inputs["fault.variance"].isinf(), log.inputs["fault.mean"] != 0
+    both, count = float((zeroed & delayed).double().mean()), zeroed.numel()
+    assert both == pytest.approx(0.01, abs=5 * (0.01 / count) ** 0.5)
+    assert float(zeroed.double().mean()) == pytest.approx(0.1, abs=5 * (0.09 / count) ** 0.5)
+
+
 def test_changing_the_noise_leaves_the_faults_as_they_were() -> None:
     loud, soft = world(sensors__tdoa__noise__sigma=30.0), world()
     a, b = simulate(loud, 5, seed=3), simulate(soft, 5, seed=3)

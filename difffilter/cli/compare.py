@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 from difffilter.cli.logs import need_log, not_clairvoyant, read_logs
 from difffilter.cli.options import Commands, check_place, load_named, shows_progress, whole
-from difffilter.cli.output import comparison_text, json_text, note
+from difffilter.cli.output import comparison_text, note
 from difffilter.cli.values import HELP, own_checkpoint, read_values, unfit
 from difffilter.errors import InputError
-from difffilter.files import write_atomically
+from difffilter.files import json_text, write_atomically
 
 if TYPE_CHECKING:
     from difffilter.checkpoint import Checkpoint

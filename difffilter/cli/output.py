@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
+
+from difffilter.files import json_text
 
 if TYPE_CHECKING:
     from difffilter.compare import Comparison
     from difffilter.scenario.scenario import Scenario
 
-__all__ = ["comparison_text", "finite", "json_text", "note", "number", "print_json", "table"]
+__all__ = ["comparison_text", "note", "number", "print_json", "table"]
 
 
 def print_json(data: Mapping[str, Any]) -> None:
     """One JSON object on stdout."""
     print(json_text(data))
-
-
-def json_text(data: Mapping[str, Any]) -> str:
-    """JSON with finite numbers only: null for NaN and infinity."""
-    return json.dumps(finite(data), indent=2, allow_nan=False)
-
-
-def finite(value: Any) -> Any:
-    """The same nested data with None for what is not finite."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    return value
 
 
 def note(text: str) -> None:

@@ -25,7 +25,7 @@ def track_figure(log: Log, track: Track, trajectory: int = 0, title: str = "") -
     figure, axes = axes_grid(2, 2)
     if title:
         figure.suptitle(title)
-    _draw_track(axes[0], track, mean, truth)
+    _draw_track(axes[0], log, track, mean, truth)
     for i, name in enumerate(track.states[:2]):
         _draw_error(axes[1 + i], name, time, mean[:, i], std[:, i], truth, log)
     _draw_weights(axes[3], track, time, weights)
@@ -47,13 +47,17 @@ def _pick(
     return one(log.time, 0), one(track.mean, 1), one(track.std, 1), weights, truth
 
 
-def _draw_track(ax: Axes, track: Track, mean: np.ndarray, truth: np.ndarray | None) -> None:
+def _draw_track(
+    ax: Axes, log: Log, track: Track, mean: np.ndarray, truth: np.ndarray | None
+) -> None:
     if len(track.states) < 2 or track.states[1].startswith("v"):
         ax.plot(mean[:, 0], color=COLOURS["tuned"], label="estimate")
         ax.set(xlabel="row", ylabel=f"{track.states[0]} (m)", title="track")
         return
-    if truth is not None:
-        ax.plot(truth[:, 0], truth[:, 1], color=COLOURS["truth"], lw=1.0, label="truth")
+    names = track.states[:2]
+    if truth is not None and set(names) <= set(log.truth_states):
+        x, y = (truth[:, log.truth_states.index(name)] for name in names)
+        ax.plot(x, y, color=COLOURS["truth"], lw=1.0, label="truth")
     ax.plot(mean[:, 0], mean[:, 1], color=COLOURS["tuned"], lw=1.0, label="estimate")
     ax.plot(mean[0, 0], mean[0, 1], "o", color=COLOURS["published"], ms=5, label="start")
     ax.set(xlabel="x (m)", ylabel="y (m)", title="track")

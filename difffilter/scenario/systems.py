@@ -16,7 +16,7 @@ from difffilter.motion import NOISES, ConstantVelocity
 from difffilter.parameters import Number, Parameter
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import UNITS, Table
-from difffilter.sensors import PositionSensor
+from difffilter.sensors import TDOA, PositionSensor
 from difffilter.weights import WEIGHTS, weight_named
 
 __all__ = ["MotionSpec", "ParameterSpec", "System", "SystemSpec", "build_system", "read_system"]
@@ -83,7 +83,7 @@ class SystemSpec:
     where: str
     estimator: str
     weight: str
-    standardise: str
+    standardise: str | None
     iterations: int
     weigh_prior: bool
     mad: bool
@@ -109,7 +109,7 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
         f"{table.where}: {table.path}",
         table.text("estimator", "filter", choices=ESTIMATORS),
         table.text("weight", "plain", choices=tuple(WEIGHTS)),
-        table.text("standardise", "innovation", choices=STANDARDISATIONS),
+        table.text("standardise", None, choices=STANDARDISATIONS),
         table.integer("iterations", 0),
         table.flag("weigh_prior"),
         table.flag("mad"),
@@ -128,6 +128,8 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
     for key in FILTER_KEYS:
         if key in table and spec.estimator != "filter":
             table.fail(key, f"no such key beside estimator = {spec.estimator!r}")
+    if spec.adaptation != "none" and spec.common_noise and spec.weigh_prior:
+        table.fail("adaptation", "none together with common_noise and weigh_prior")
     table.finish()
     return spec
 
@@ -184,6 +186,8 @@ def build_system(
         )
         for sensor in chosen
     )
+    if spec.common_noise and not any(isinstance(model, TDOA) for model in models):
+        raise where("common_noise: found no TDOA sensor, expected one with it")
     acceleration = value("motion.acceleration")
     if acceleration is None and spec.estimator in ("filter", "chan-ekf"):
         raise where("needs [parameters.motion.acceleration], found none")

@@ -18,8 +18,9 @@ def read_tuning(table: Table, systems: Sequence[str]) -> TuneSettings:
     for name in losses.data:
         if name not in LOSSES:
             losses.fail(name, f"a loss among {', '.join(LOSSES)}")
-    loss = {name: losses.number(name, low=0.0) for name in losses.data}
-    if loss and not any(loss.values()):
+    weights = {name: losses.number(name, low=0.0) for name in losses.data}
+    loss = {name: weight for name, weight in weights.items() if weight}
+    if weights and not loss:
         table.fail("loss", "a weight above 0")
     temperature = table.numbers("temperature", 2, base.temperature)
     if not temperature[0] >= temperature[1] > 0.0:

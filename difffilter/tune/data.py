@@ -74,8 +74,16 @@ class Windows:
     beliefs: Belief | None = None
 
     def __post_init__(self) -> None:
-        before = _blank(self.log.rows(0, 1))
-        log = _concatenate([before, self.log])
+        if self.log.z.dim() != 3:
+            shape = list(self.log.z.shape)
+            raise InputError(f"logs: found shape {shape}, expected (T, B, m), see stack_logs")
+        # One time for all trajectories to one for each: windows stand beside each other.
+        time = self.log.time.reshape(self.log.steps, -1).expand(self.log.z.shape[:2])
+        log = replace(self.log, time=time)
+        before = _blank(log.rows(0, 1))
+        if self.start.time is not None:
+            before = replace(before, time=torch.full_like(before.time, self.start.time))
+        log = _concatenate([before, log])
         missing = -(log.steps - 1) % self.rows
         tail = _blank(log.rows(log.steps - 1, log.steps))
         self.padded = _concatenate([log, *[tail] * missing])
@@ -87,10 +95,10 @@ class Windows:
                 _beside([p.rows(1, p.steps) for p in parts]),
             ]
         )
-        useful = cut.measured.any(0)
+        useful = cut.measured
         if cut.truth is not None:
-            useful &= torch.isfinite(cut.truth).all(-1).any(0)
-        self.useful = useful.nonzero().flatten()
+            useful = useful & torch.isfinite(cut.truth).all(-1)
+        self.useful = useful.any(0).nonzero().flatten()
         if not len(self.useful):
             raise InputError("logs: found no row with a measurement, expected some")
         self.cut = cut

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,16 +53,19 @@ class Descent:
             assert train.start is not None
             self.data = Trajectories(train, train.start, settings.batch)
         else:
-            self.check = started(scenario, filter, log)
+            self.check = started(scenario, filter, _timed(log))
             assert self.check.start is not None
-            rows = min(settings.window, log.steps)
-            self.data = Windows(log, self.check.start, rows, settings.batch, settings.refresh)
+            rows, every = min(settings.window, log.steps), settings.refresh
+            self.data = Windows(self.check, self.check.start, rows, settings.batch, every)
 
     def fingerprint(self) -> str:
         """Identifies the run for resuming: everything that its result depends on."""
         digest = hashlib.sha256(json.dumps(self.scenario.document, sort_keys=True).encode())
         digest.update(json.dumps([asdict(self.settings), self.seed], sort_keys=True).encode())
-        digest.update(self.check.z.numpy().tobytes())
+        check = self.check
+        for part in (check.z, check.time, check.truth, *check.inputs.values()):
+            if part is not None:
+                digest.update(part.contiguous().numpy().tobytes())
         return digest.hexdigest()
 
     def search(
@@ -203,3 +206,11 @@ class Descent:
                     noise = torch.randn(tensor.shape, generator=generator, dtype=tensor.dtype)
                     tensor.add_(self.settings.scatter * noise)
         return parameters
+
+
+def _timed(log: Log) -> Log:
+    """The log with a time per trajectory, as windows need it."""
+    if log.z.dim() != 3:
+        raise InputError("logs: found one without the trajectory dimension, see stack_logs")
+    time = log.time if log.time.dim() > 1 else log.time.unsqueeze(1).expand(log.z.shape[:2])
+    return replace(log, time=time)

@@ -72,7 +72,8 @@ def tune(
             ``out``; CheckpointError: a state that is damaged or of another run.
         NonFiniteError: a belief or a gradient turned non-finite; names where.
     """
-    chosen = _settings(scenario, settings)
+    scenario = _with_settings(scenario, settings)
+    chosen = scenario.tuning
     system = scenario.system(chosen.system)
     if not isinstance(system, Filter):
         raise InputError(f"tune: system {chosen.system} is a baseline, expected a filter")
@@ -97,6 +98,8 @@ def tune(
         "start": best["start"],
     }
     checkpoint = Checkpoint(scenario, chosen.system, best["values"], None, training)
+    if out is not None:  # before the comparison: what was tuned is not lost if that fails
+        save(checkpoint, out)
     held_out = _held_out(checkpoint, chosen, seed, test, progress)
     if held_out is not None:
         checkpoint = replace(checkpoint, result=held_out.as_dict())
@@ -106,23 +109,22 @@ def tune(
     return TuneResult(checkpoint, history, held_out)
 
 
-def _settings(
+def _with_settings(
     scenario: Scenario, settings: Mapping[str, Any] | TuneSettings | None
-) -> TuneSettings:
+) -> Scenario:
+    """The scenario with other ``[tuning]``, checked like its file and stored with the values."""
     if isinstance(settings, TuneSettings):
-        return settings
-    known = TuneSettings.__dataclass_fields__
-    for name in settings or {}:
-        if name not in known:
-            raise InputError(f"settings: found {name!r}, expected one of {', '.join(known)}")
-    return replace(scenario.tuning, **dict(settings or {}))
+        settings = asdict(settings)
+    plain = json.loads(json.dumps(dict(settings or {})))  # tuples to lists, as TOML has them
+    return scenario.with_overrides({f"tuning.{name}": value for name, value in plain.items()})
 
 
 def _held_out(
     checkpoint: Checkpoint, settings: TuneSettings, seed: int, test: Log | None, progress: bool
 ) -> Comparison | None:
     scenario = checkpoint.scenario
-    systems = tuple(s for s in (settings.system, "clairvoyant") if s in scenario.systems)
+    told = [name for name, spec in scenario.systems.items() if spec.clairvoyant and test is None]
+    systems = tuple(dict.fromkeys([settings.system, *told]))
     if test is None and scenario.world is None:
         return None
     if test is not None and test.truth is None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import pickle
+import hashlib
+import io
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,9 @@ from difffilter.files import write_atomically
 
 __all__ = ["load_state", "save_state", "state_path"]
 
-STATE_VERSION = 1
+#: First bytes of a state file; the SHA-256 of all that follows it comes next.
+MAGIC = b"difffilter tuning state 1\n"
+DIGEST = hashlib.sha256().digest_size
 
 
 def state_path(out: str | Path) -> Path:
@@ -22,9 +25,14 @@ def state_path(out: str | Path) -> Path:
 
 
 def save_state(path: Path, state: dict[str, Any]) -> None:
-    """Write atomically; the file holds tensors, numbers, texts, lists and dicts only."""
-    content = {"version": STATE_VERSION, **state}
-    write_atomically(path, lambda file: torch.save(content, file))
+    """Write atomically; the file holds tensors, numbers, texts, lists and dicts only.
+
+    PyTorch does not notice a changed number in its own files, hence the digest.
+    """
+    buffer = io.BytesIO()
+    torch.save(state, buffer)
+    content = buffer.getvalue()
+    write_atomically(path, MAGIC + hashlib.sha256(content).digest() + content)
 
 
 def load_state(path: Path, fingerprint: str) -> dict[str, Any]:
@@ -34,15 +42,18 @@ def load_state(path: Path, fingerprint: str) -> dict[str, Any]:
         CheckpointError: no such file, damaged, another version, or the state of another run
             (other scenario, settings, seed or logs, by their ``fingerprint``).
     """
-    if not path.is_file():
-        raise CheckpointError(f"{path}: found no such file, expected the state of a run to resume")
     try:
-        state = torch.load(path, weights_only=True)
-    except (RuntimeError, OSError, EOFError, ValueError, pickle.UnpicklingError) as error:
-        reason = str(error).splitlines()[0]
-        raise CheckpointError(f"{path}: damaged or not a tuning state: {reason}") from None
-    if not isinstance(state, dict) or state.get("version") != STATE_VERSION:
-        raise CheckpointError(f"{path}: version: expected {STATE_VERSION}")
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise CheckpointError(
+            f"{path}: found no such file, expected the state of a run to resume"
+        ) from None
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from None
+    digest, content = data[len(MAGIC) :][:DIGEST], data[len(MAGIC) + DIGEST :]
+    if not data.startswith(MAGIC) or hashlib.sha256(content).digest() != digest:
+        raise CheckpointError(f"{path}: damaged, or not a tuning state of this version")
+    state: dict[str, Any] = torch.load(io.BytesIO(content), weights_only=True)
     if state["fingerprint"] != fingerprint:
         raise CheckpointError(
             f"{path}: belongs to another run (scenario, settings, seed or logs differ), "
