@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from difffilter.condition import ChannelUpdate, gain_root, sweep
+from difffilter.condition import gain_root, sweep
 
 __all__ = ["ChannelSweep"]
 
