@@ -31,12 +31,27 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=HERE.parent / "report")
     options = parser.parse_args()
     began = time.monotonic()
+    bars = {
+        name: tqdm(
+            desc=name,
+            total=1,
+            position=place,
+            bar_format="{desc:14} |{bar:20}| {elapsed} {postfix}",
+        )
+        for place, name in enumerate(EXPERIMENTS)
+    }
     with ThreadPoolExecutor(max_workers=max(os.cpu_count() or 1, 1)) as pool:
         jobs = {
-            name: pool.submit(follow, name, script, place, options)
-            for place, (name, script) in enumerate(EXPERIMENTS.items())
+            name: pool.submit(follow, name, script, bars[name], options)
+            for name, script in EXPERIMENTS.items()
         }
+        while not all(job.done() for job in jobs.values()):
+            time.sleep(1.0)
+            for bar in bars.values():
+                bar.refresh()  # the clock goes on within a stage
         codes = {name: job.result() for name, job in jobs.items()}
+    for bar in bars.values():
+        bar.close()
     index = write_index(options.out)
     print(f"\n{time.monotonic() - began:.0f} s; report: {index}")
     for name, code in codes.items():
@@ -45,29 +60,28 @@ def main() -> int:
     return int(any(codes.values()))
 
 
-def follow(name: str, script: str, place: int, options: argparse.Namespace) -> int:
-    """Run one experiment; its ``[i/n] text`` lines drive a bar."""
+def follow(name: str, script: str, bar: tqdm, options: argparse.Namespace) -> int:
+    """Run one experiment; its ``[i/n] text`` lines drive the bar."""
     folder = options.out / name
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, str(HERE / script), "--quiet", "--seed", str(options.seed)]
     command += ["--out", str(folder), *(["--quick"] if options.quick else [])]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+    pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     with (
         (folder / "run.log").open("w") as log,
-        tqdm(desc=name, position=place, unit="stage", bar_format="{desc:14} {n}/{total} |{bar:20}| "
-             "{elapsed} {postfix}") as bar,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-                         env=environment) as process,
-    ):  # fmt: skip
-        assert process.stdout is not None
-        for line in process.stdout:
+        subprocess.Popen(command, env=environment, **pipe) as process,
+    ):
+        for line in process.stdout or ():
             log.write(line)
             log.flush()
             if line.startswith("["):
-                place_text, _, text = line[1:].partition("]")
-                at, _, total = place_text.partition("/")
-                bar.total, bar.n = int(total), int(at)
-                bar.set_postfix_str(text.strip()[-60:])
+                place, _, text = line[1:].partition("]")
+                at, _, total = place.partition("/")
+                bar.total, bar.n = int(total), int(at) - 1
+                bar.set_postfix_str(f"{place} {text.strip()[-60:]}")
+        if process.wait() == 0:
+            bar.n = bar.total
     return process.returncode
 
 

@@ -17,7 +17,7 @@ from difffilter.estimate import started
 from difffilter.filter import Filter
 from difffilter.log import Log
 from difffilter.losses import LossContext, total_loss
-from difffilter.parameters import ParameterSet
+from difffilter.parameters import ParameterSet, Values
 from difffilter.run import Track, run
 from difffilter.scenario.scenario import Scenario
 from difffilter.seeds import stream
@@ -116,8 +116,10 @@ class Descent:
         for step in range(at, settings.steps + 1):
             last = step == settings.steps
             if (step % settings.evaluate_every == 0 or last) and not (resumed and step == at):
-                score, track = self._validate(parameters)
-                values = parameters.frozen_values()
+                # To the digit as published where nothing has moved yet.
+                untouched = start == 0 and step == 0
+                values = self.filter.published() if untouched else parameters.frozen_values()
+                score, track = self._validate(values)
                 entry = {"start": start, "step": step, "training": loss, "validation": score}
                 plain = {name: value.tolist() for name, value in values.items()}
                 history.append(entry | {"values": plain})
@@ -187,10 +189,10 @@ class Descent:
         board.gradient(start * settings.steps + step, float(loss.detach()), terms, float(norm))
         return float(loss.detach())
 
-    def _validate(self, parameters: ParameterSet) -> tuple[float, Track]:
+    def _validate(self, values: Values) -> tuple[float, Track]:
         """Loss of the frozen, hard form on the validation data."""
         with torch.no_grad():
-            track = run(self.filter, self.check, parameters.frozen_values())
+            track = run(self.filter, self.check, values)
             loss, _ = total_loss(self.settings.loss, track, self.check, self.context)
         if not bool(torch.isfinite(loss)):
             raise InputError("validation: the loss is not finite; has the data any row to score?")
