@@ -237,6 +237,14 @@ class Filter:
             constants["temperature"] = torch.tensor(temperature, dtype=dtype)
         return constants
 
+    def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
+        """Raise InputError if a clairvoyant filter is not told of the faults."""
+        for name in ("fault.mean", "fault.variance") if self.clairvoyant else ():
+            if name not in inputs:
+                raise InputError(
+                    f"log: found no input {name}, expected what a clairvoyant filter is told"
+                )
+
     def start(self, mean: Tensor, deviations: Tensor) -> Belief:
         """Initial belief, with the adaptation's memory at its declared start."""
         memory = self.adaptation.memory(mean, len(self.channels)) if self.adaptation else {}

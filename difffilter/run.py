@@ -105,11 +105,7 @@ def run(
         )
     if not log.steps:
         raise InputError("log: found no row, expected one or more")
-    for name in ("fault.mean", "fault.variance") if filter.clairvoyant else ():
-        if name not in log.inputs:
-            raise InputError(
-                f"log: found no input {name}, expected what a clairvoyant filter is told"
-            )
+    filter.check_inputs(log.inputs)
     values = dict(values or {})
     values = filter.published(log.z.dtype) | values
     constants = filter.prepare(values, temperature)

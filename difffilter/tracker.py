@@ -82,6 +82,7 @@ class Tracker:
             if not bool((interval >= 0).all()):
                 raise InputError(f"dt: found {dt}, expected 0 or more seconds")
             known = {name: self._tensor(value) for name, value in (inputs or {}).items()}
+            self.filter.check_inputs(known)
             measurement = Measurement(row, interval, known)
             after, record = step(self.filter, self._constants, self.belief, measurement)
             for what, tensor in (("mean", after.mean), ("covariance", after.deviations.sum(-1))):

@@ -24,8 +24,8 @@ def main() -> None:
     """Run the whole experiment."""
     options = arguments("airport-mlat")
     quick, seed, bar = options.quick, options.seed, not options.quiet
-    held_out = 40 if quick else 500
-    small = {"trajectories": 16, "validation": 16, "test": 16, "steps": 8} if quick else {}
+    held_out = 20 if quick else 500
+    small = {"trajectories": 16, "validation": 16, "test": 16, "steps": 4} if quick else {}
     settings = {"seed": seed, "held_out_trajectories": held_out, "quick": quick}
     title = "airport-mlat: published against tuned"
     report = Report(options.out, title, settings)

@@ -6,7 +6,7 @@ from its first measurements. Writes report/uwb-ranges and checkpoints/uwb-ranges
 on all four runs, with the leave-one-out results).
 
     python training/uwb_ranges.py            # some minutes
-    python training/uwb_ranges.py --quick    # under a minute: the first 40 s of each run
+    python training/uwb_ranges.py --quick    # under a minute: the first 25 s of each run
 """
 
 from __future__ import annotations
@@ -104,9 +104,9 @@ def main() -> int:
 
 
 def logs(scenario: df.Scenario, options: Namespace, runs: list[str]) -> df.Log:
-    """The recordings of some runs; the first 400 rows of each in a quick run."""
+    """The recordings of some runs; the first 250 rows of each in a quick run."""
     log = df.load_logs(scenario, [options.data / f"{run}.csv" for run in runs])
-    return log.rows(0, 400) if options.quick else log
+    return log.rows(0, 250) if options.quick else log
 
 
 def draw(report: Report, run: str, test: df.Log, checkpoint: df.Checkpoint) -> None:
