@@ -34,25 +34,30 @@ class Compress(torch.autograd.Function):
         """Undo the elimination column by column; ``x_bar`` = dLoss/dx.
 
         With P' = the remainder without its first row and column: c = p_1 / sqrt(p_11),
-        P' = P_below - c_below c_below^T. ``gram_bar`` is kept symmetric.
+        P' = P_below - c_below c_below^T. ``twice`` is twice the gradient towards the Gram
+        matrix, symmetric; only what is done so far is other than zero.
         """
         blocks = ctx.saved_tensors[: ctx.blocks]
         columns, *inverse_roots = ctx.saved_tensors[ctx.blocks :]
         n = columns.shape[0]
-        columns_bar = lower_bar.movedim((-1, -2), (0, 1))
-        gram_bar = torch.empty_like(columns)
-        for j in reversed(range(n)):
-            c, c_bar, half_root = columns[j, j:], columns_bar[j, j:], 0.5 * inverse_roots[j]
-            if j + 1 < n:
-                along = (gram_bar[j + 1 :, j + 1 :] * c[1:]).sum(1)
-                c_bar = torch.cat([c_bar[:1], c_bar[1:].sub(along, alpha=2)])
-            half = c_bar * half_root
-            gram_bar[j, j:] = half
-            gram_bar[j:, j] = half
-            gram_bar[j, j] = torch.addcmul(
-                2 * half[0], (half * c).sum(0), inverse_roots[j], value=-1
-            )
-        twice = 2 * gram_bar.movedim((0, 1), (-2, -1))
+        below = columns.new_ones(n, n).triu().reshape(n, n, *(1,) * (columns.dim() - 2))
+        columns_bar = lower_bar.movedim((-1, -2), (0, 1)) * below
+        twice = torch.zeros_like(columns)
+        each = zip(
+            columns,
+            columns_bar,
+            inverse_roots,
+            twice.unbind(0),
+            twice.unbind(1),
+            twice.diagonal().unbind(-1),
+            strict=True,
+        )
+        for c, c_bar, inverse_root, along_row, along_column, pivot in reversed(list(each)):
+            p_bar = (c_bar - (twice * c).sum(1)) * inverse_root
+            along_row.add_(p_bar)
+            along_column.add_(p_bar)
+            pivot.addcmul_((p_bar * c).sum(0), inverse_root, value=-1)
+        twice = twice.movedim((0, 1), (-2, -1))
         lead = twice.shape[:-2]
         bars = [product(twice, x.expand(*lead, *x.shape[-2:])) for x in blocks]
         return tuple(bar.sum_to_size(x.shape) for bar, x in zip(bars, blocks, strict=True))

@@ -32,11 +32,12 @@ class Conditioned(NamedTuple):
 
 
 class ChannelUpdate(NamedTuple):
-    """One channel's update, as the gradient needs it: its row before, g and s."""
+    """One channel's update, as the gradient needs it (columns first, batch last)."""
 
-    row: Tensor
     g: Tensor
+    gain_row: Tensor
     s: Tensor
+    denominator: Tensor
 
 
 def condition(
@@ -79,9 +80,14 @@ def condition(
 
 
 def sweep(
-    deviations: Tensor, observed: Tensor, innovation: Tensor, weight: Tensor, noise: Tensor
-) -> tuple[Conditioned, Tensor, list[ChannelUpdate]]:
-    """The equations of :func:`condition`, and what its gradient needs.
+    deviations: Tensor,
+    observed: Tensor,
+    innovation: Tensor,
+    weight: Tensor,
+    noise: Tensor,
+    kept: list[ChannelUpdate] | None = None,
+) -> tuple[Conditioned, Tensor]:
+    """The equations of :func:`condition`; with ``kept``, notes what the gradient needs.
 
     They run on one table with a row for each of [state; channel]: its columns of D, then
     what is left of the innovation, mu_i being 0 for a state. That last column takes part
@@ -93,24 +99,21 @@ def sweep(
     left = [torch.zeros_like(columns[0][0]), innovation.movedim(-1, 0)]
     table = torch.cat([torch.cat(columns, dim=1), torch.cat(left).unsqueeze(0)])
     weight, noise = weight.movedim(-1, 0), noise.movedim(-1, 0)
-    root = gain_root(noise, k)
-    updates = []
+    # sqrt(r) beside the columns of D, 0 beside the last one: (m, k + 1, 1, ...)
+    root = positive_sqrt(noise)[:, None, None]
+    root = torch.cat([root.expand(-1, k, *root.shape[2:]), torch.zeros_like(root)], dim=1)
     for i, (w, r, root_r) in enumerate(zip(weight, noise, root, strict=True), start=n):
-        row = table[:, i]
-        f = row[:k].unsqueeze(1)
+        row = table[:, i : i + 1]
+        f = row[:k]
         g = (table[:k] * f).sum(0)
         s = torch.addcmul(r, w, g[i])
-        gain = w / torch.addcmul(s, root_r, s.sqrt())
-        updates.append(ChannelUpdate(row, g, s))
-        table = torch.addcmul(table, g, (gain * row).unsqueeze(1), value=-1)
+        denominator = torch.addcmul(s, root_r, s.sqrt())
+        gain_row = w / denominator * row
+        table = torch.addcmul(table, g, gain_row, value=-1)
+        if kept is not None:
+            kept.append(ChannelUpdate(g, gain_row, s, denominator))
     rows, left_over = table[:k].movedim((0, 1), (-1, -2)), table[k].movedim(0, -1)
     conditioned = Conditioned(
         -left_over[..., :n], rows[..., :n, :], left_over[..., n:], rows[..., n:, :]
     )
-    return conditioned, table, updates
-
-
-def gain_root(noise: Tensor, k: int) -> Tensor:
-    """sqrt(r) beside the k columns of D and 0 beside the last column: (m, k + 1, ...)."""
-    root = positive_sqrt(noise).unsqueeze(1)
-    return torch.cat([root.expand(-1, k, *root.shape[2:]), torch.zeros_like(root)], dim=1)
+    return conditioned, table

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from difffilter.condition import gain_root, sweep
+from difffilter.condition import ChannelUpdate, sweep
 
 __all__ = ["ChannelSweep"]
 
@@ -22,12 +22,21 @@ class ChannelSweep(torch.autograd.Function):
     """:func:`difffilter.condition.sweep` with its own backward."""
 
     @staticmethod
-    def forward(ctx: Any, *tensors: Tensor) -> tuple[Tensor, ...]:
-        """Run the sweep; keep the final table and a row of it per channel, not every table."""
-        conditioned, table, updates = sweep(*tensors)
-        weight, noise = (x.movedim(-1, 0) for x in tensors[3:])
-        rows, g, s = (torch.stack(parts) for parts in zip(*updates, strict=True))
-        ctx.save_for_backward(weight, noise, table, rows, g, s)
+    def forward(
+        ctx: Any,
+        deviations: Tensor,
+        observed: Tensor,
+        innovation: Tensor,
+        weight: Tensor,
+        noise: Tensor,
+    ) -> tuple[Tensor, ...]:
+        """Run the sweep; keep the final table and what undoes each channel's update."""
+        kept: list[ChannelUpdate] = []
+        conditioned, table = sweep(deviations, observed, innovation, weight, noise, kept)
+        weight, noise = weight.movedim(-1, 0), noise.movedim(-1, 0)
+        g, gain_rows, s, denominators = zip(*kept, strict=True)
+        together = torch.stack(s), torch.stack(denominators)
+        ctx.save_for_backward(weight, noise, table, *together, *g, *gain_rows)
         ctx.set_materialize_grads(False)
         return tuple(conditioned)
 
@@ -41,8 +50,8 @@ class ChannelSweep(torch.autograd.Function):
         observed_bar: Tensor | None,
     ) -> tuple[Tensor, ...]:
         """Gradients towards the five inputs (``x_bar`` = dLoss/dx)."""
-        weight, noise, table, rows, g, s = ctx.saved_tensors
-        m, k = rows.shape[0], rows.shape[1] - 1
+        weight, noise, table, s, denominators, *updates = ctx.saved_tensors
+        m, k = len(weight), table.shape[0] - 1
         n = table.shape[1] - m
         table = table.clone()
 
@@ -56,48 +65,37 @@ class ChannelSweep(torch.autograd.Function):
         if observed_bar is not None:
             table_bar[:k, n:] = observed_bar.movedim((-1, -2), (0, 1))
 
-        # All channels at once, (m, k + 1, ...):  gain = w / (s + root_r sqrt(s))
-        root_r, root_s = gain_root(noise, k), s.sqrt().unsqueeze(1)
-        inverse = 1.0 / torch.addcmul(s.unsqueeze(1), root_r, root_s)
-        gain = weight.unsqueeze(1) * inverse
-        gain_rows = rows * gain
-        per_denominator = gain_rows * inverse
-        per_s = torch.addcmul(per_denominator, per_denominator, root_r / root_s, value=0.5)
+        # All channels at once, (m, k + 1, 1, ...)
+        gains = weight[:, None, None] / denominators
+        per_denominator = gains / denominators
+        # denominator = s + root_r sqrt(s), so root_r / sqrt(s) = denominator / s - 1
+        per_s = 0.5 * (per_denominator + gains / s[:, None, None])
 
-        columns, columns_bar, rows_bar = table[:k], table_bar[:k], table_bar[:, n:].unbind(1)
-        channels = zip(
-            g,
-            rows[:, :k].unsqueeze(2),
-            gain,
-            gain_rows.unsqueeze(2),
-            per_s,
-            weight,
-            rows_bar,
-            strict=True,
-        )
-        back: list[tuple[Tensor, Tensor]] = []
-        for i, (g_i, f, gain_i, gain_row, per_s_i, w, row_bar) in reversed(
-            list(enumerate(channels, start=n))
-        ):
+        columns, columns_bar = table[:k], table_bar[:k]
+        rows, rows_bar = (x[:, n:].chunk(m, dim=1) for x in (table, table_bar))
+        back = []
+        for i in reversed(range(m)):
+            g, gain_row, row, row_bar = updates[i], updates[m + i], rows[i], rows_bar[i]
             # table' = table - g gain_row;  v = -dLoss/d(gain_row)
-            table.addcmul_(g_i, gain_row)
-            v = (table_bar * g_i).sum(1)
+            table.addcmul_(g, gain_row)
+            v = (table_bar * g).sum(1, keepdim=True)
             minus_g_bar = (table_bar * gain_row).sum(0)
-            # s = w g_i + r
-            s_bar = (v * per_s_i).sum(0)
-            minus_g_bar[i].addcmul_(w, s_bar, value=-1)
+            # gain_row = w / denominator row,  s = w g_i + r
+            v_row = v * row
+            s_bar = (v_row * per_s[i]).sum((0, 1))
+            minus_g_bar[n + i].addcmul_(weight[i], s_bar, value=-1)
             # g = D f,  f = row i of D
-            minus_f_bar = (columns * minus_g_bar).sum(1)
-            columns_bar.addcmul_(minus_g_bar, f, value=-1)
-            row_bar.addcmul_(v, gain_i, value=-1)
+            minus_f_bar = (columns * minus_g_bar).sum(1, keepdim=True)
+            columns_bar.addcmul_(minus_g_bar, row[:k], value=-1)
+            row_bar.addcmul_(v, gains[i], value=-1)
             row_bar[:k].sub_(minus_f_bar)
-            back.append((v, s_bar))
+            back.append((v_row, s_bar, g[n + i]))
 
-        v, s_bar = (torch.stack(parts) for parts in zip(*reversed(back), strict=True))
-        weight_bar = s_bar * g[:, n:].diagonal().movedim(-1, 0) - (v * rows * inverse).sum(1)
-        root_bar = (v * per_denominator)[:, :k].sum(1) * s.sqrt()
-        # sqrt(r) has derivative 0 at r = 0
-        noise_bar = s_bar + torch.where(noise > 0, 0.5 * root_bar / noise.sqrt(), 0.0)
+        v_rows, s_bar, g_own = (torch.stack(parts) for parts in zip(*reversed(back), strict=True))
+        weight_bar = s_bar * g_own - (v_rows / denominators).sum((1, 2))
+        # denominator = s + sqrt(r s), whose derivative towards r is taken as 0 at r = 0
+        root_bar = 0.5 * (v_rows * per_denominator)[:, :k].sum((1, 2))
+        noise_bar = s_bar + torch.where(noise > 0, root_bar * (s / noise).sqrt(), 0.0)
         return (
             columns_bar[:, :n].movedim((0, 1), (-1, -2)),
             columns_bar[:, n:].movedim((0, 1), (-1, -2)),

@@ -40,9 +40,12 @@ def product(a: Tensor, b: Tensor) -> Tensor:
 
     Leading dimensions broadcast; further rows of b are left out.
     """
-    rank = max(a.dim(), b.dim())
-    a, b = (x[(None,) * (rank - x.dim())] for x in (a, b))
-    a, b = a.movedim((-2, -1), (0, 1)), b.movedim((-2, -1), (0, 1))[: a.shape[-1]]
+    if a.dim() != b.dim():
+        rank = max(a.dim(), b.dim())
+        a, b = (x[(None,) * (rank - x.dim())] for x in (a, b))
+    inner = a.shape[-1]
+    a, b = a.movedim((-2, -1), (0, 1)), b.movedim((-2, -1), (0, 1))
+    b = b if b.shape[0] == inner else b[:inner]
     return (a.unsqueeze(2) * b).sum(1).movedim((0, 1), (-2, -1))
 
 
@@ -82,13 +85,13 @@ def factor(remainder: Tensor) -> tuple[Tensor, list[Tensor]]:
     """Of (n, n, ...): the columns of L, (column, row, ...), and the inverse root of each pivot."""
     n = remainder.shape[0]
     smallest = n * torch.finfo(remainder.dtype).eps * remainder.diagonal().movedim(-1, 0)
-    zeros = torch.zeros_like(remainder[0])
+    zeros, infinity = torch.zeros_like(remainder[0]), remainder.new_tensor(torch.inf)
     parts, inverse_roots = [], []
     for j, least in enumerate(smallest):
         column = remainder[0]
         # A zero pivot: 1 / sqrt(infinity), whose derivative is zero too.
-        pivot = torch.where(column[0] > least, column[0], torch.inf)
-        inverse_root = pivot.rsqrt()
+        pivot = column[0]
+        inverse_root = torch.where(pivot > least, pivot, infinity).rsqrt()
         column = column * inverse_root
         parts += [zeros[:j], column]
         inverse_roots.append(inverse_root)

@@ -158,10 +158,10 @@ def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:
 
 def check_finite(track: Track) -> None:
     """Raise NonFiniteError at the first step whose belief or innovation is not finite."""
-    checks: list[tuple[str, Tensor, tuple[str, ...]]] = [
-        ("mean", track.mean, track.states),
-        ("covariance", track.deviations.sum(-1), track.states),
-    ]
+    deviations = track.deviations.detach()
+    checks: list[tuple[str, Tensor, tuple[str, ...]]] = [("mean", track.mean, track.states)]
+    if not torch.isfinite(deviations.sum()):
+        checks.append(("covariance", deviations.sum(-1), track.states))
     if track.record is not None:
         checks.insert(0, ("innovation", track.record.innovation, track.channels))
     worst: tuple[int, NonFiniteError] | None = None

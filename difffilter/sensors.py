@@ -143,7 +143,7 @@ class Range(PositionSensor):
         distance = positive_sqrt(square)
         # Divide by 1 at a station: the gradient of the unit vector stays finite there.
         length = torch.where(square > 0, distance, 1.0)
-        unit = apart / length.unsqueeze(1)
+        unit = apart * length.reciprocal().unsqueeze(1)
         return self.of(distance).movedim(0, -1), self.of(unit).movedim((0, 1), (-2, -1))
 
     def of(self, stations: Tensor) -> Tensor:

@@ -55,10 +55,9 @@ def soft_relu(x: Tensor, temperature: Tensor) -> Tensor:
     return temperature * softplus(x / temperature, threshold=40.0)
 
 
-def soft_abs(s: Tensor, temperature: Tensor) -> Tensor:
-    """Smooth |s|: even, 0 at 0, below |s| by at most half the temperature."""
-    half = 0.5 * temperature
-    return (s.square() + half.square()).sqrt() - half
+def soft_abs(s: Tensor) -> Tensor:
+    """Smooth |s|: even, 0 at 0, below |s| by at most a half."""
+    return (s.square() + 0.25).sqrt() - 0.5
 
 
 def _plain(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
@@ -87,7 +86,7 @@ def _igg3(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
         return core * ramp.square()
     # Soft ramp: difference of two soft steps, scaled to be exactly 1 at s = 0.
     at_zero = _soft_step(torch.zeros_like(k0), k0, k1, temperature)
-    rest = _soft_step(soft_abs(s, temperature), k0, k1, temperature)
+    rest = _soft_step(temperature * soft_abs(s / temperature), k0, k1, temperature)
     rest = (rest - at_zero) / (1.0 - at_zero)
     return core * (1.0 - rest).clamp_min(0.0).square()
 
@@ -106,10 +105,12 @@ def _tanh(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
         psi = slope * torch.tanh(0.5 * slope * (b - size).clamp_min(0.0))
         inside = size < c["tanh.ab"][..., 0]
         return torch.where(inside, 1.0, psi / torch.where(inside, 1.0, size))
-    size = soft_abs(s, temperature)
-    psi = slope * torch.tanh(0.5 * slope * soft_relu(b - size, temperature))
-    psi0 = slope * torch.tanh(0.5 * slope * soft_relu(b, temperature))
-    excess = soft_relu(size - psi, temperature) - soft_relu(-psi0, temperature)
+    # All in units of the temperature.
+    slope, b, half = slope / temperature, b / temperature, 0.5 * slope * temperature
+    size = soft_abs(s / temperature)
+    psi = slope * torch.tanh(half * softplus(b - size, threshold=40.0))
+    psi0 = slope * torch.tanh(half * softplus(b, threshold=40.0))
+    excess = softplus(size - psi, threshold=40.0) - softplus(-psi0, threshold=40.0)
     return psi / (psi + excess)
 
 

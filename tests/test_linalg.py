@@ -86,6 +86,25 @@ def test_compress_keeps_the_gram_matrix_in_square_form(rng: np.random.Generator,
     assert_close(square @ square.mT, deviations @ deviations.mT, tolerance)
 
 
+@pytest.mark.parametrize("rank", [4, 2, 0])
+def test_the_written_gradient_of_compress_equals_autograd(
+    rng: np.random.Generator, rank: int
+) -> None:
+    # Exact zeros beyond the rank: the pivots there are zero, not rounding errors.
+    moved = tensor(rng.standard_normal((3, 4, 4)))
+    process = tensor(rng.standard_normal((4, 2)))
+    moved[:, rank:], process[rank:] = 0.0, 0.0
+    blocks = [moved.requires_grad_(), process.requires_grad_()]
+    bar = tensor(rng.standard_normal((3, 4, 4)))
+    written = compress(*blocks)
+    plain = semidefinite_cholesky(moved @ moved.mT + process @ process.mT)
+    assert_close(written, plain.detach(), 1e-13)
+    found = torch.autograd.grad(written, blocks, bar)
+    expected = torch.autograd.grad(plain, blocks, bar)
+    for a, b in zip(found, expected, strict=True):
+        assert_close(a, b, 1e-11)
+
+
 def test_float32_stays_float32(rng: np.random.Generator) -> None:
     covariance = random_spd(rng, 4)
     lower = semidefinite_cholesky(tensor(covariance).float())

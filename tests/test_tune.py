@@ -216,7 +216,7 @@ def test_a_batch_keeps_each_trajectorys_own_start() -> None:
     from difffilter.tune.data import Trajectories
 
     assert log.start is not None
-    data = Trajectories(log, log.start, 2)
+    data = Trajectories(log, log.start)
     batch = data.batch(torch.tensor([5, 0]))
     assert torch.equal(batch.log.z, log.z[:, [5, 0]])
     assert not isinstance(batch.start, Belief)

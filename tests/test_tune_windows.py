@@ -37,7 +37,7 @@ def begun(log: Log, name: str = "robust") -> Start:
 
 
 def windows(log: Log, name: str = "robust", rows: int = ROWS, every: int = 5) -> Windows:
-    return Windows(log, begun(log, name), rows, 3, every)
+    return Windows(log, begun(log, name), rows, every)
 
 
 @pytest.mark.parametrize("name", ["robust", "ekf"])
@@ -159,13 +159,13 @@ def test_windows_without_anything_to_learn_from_are_left_out() -> None:
     assert windows(bare).useful.tolist() == [0, 2, 3]
     empty = replace(both, z=torch.full_like(both.z, torch.nan))
     with pytest.raises(InputError, match="logs: found no row with a measurement"):
-        Windows(empty, Start(torch.zeros(1, 4).double()), ROWS, 3, 5)
+        Windows(empty, Start(torch.zeros(1, 4).double()), ROWS, 5)
 
 
 def test_a_start_before_the_first_row_keeps_its_time(tmp_path: Path) -> None:
     log, filter = recorded(tmp_path), system()
     start = replace(begun(log), time=-2.0)
-    data = Windows(log, start, ROWS, 3, 5)
+    data = Windows(log, start, ROWS, 5)
     data.refresh(filter, filter.published(), 0)
     batch = data.batch(torch.arange(2))
     parts = run(filter, batch.log, None, batch.start)

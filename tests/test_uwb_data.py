@@ -79,7 +79,7 @@ def test_windows_of_recorded_logs_are_the_whole_run() -> None:
     filter, log = robust(), logs("los_A1", "nlos_A2", rows=230)
     start = log.start
     assert isinstance(start, Start)
-    data = Windows(log, start, 50, 4, 10)
+    data = Windows(log, start, 50, 10)
     data.refresh(filter, filter.published(), 0)
     batch = data.batch(torch.arange(data.count))
     parts, whole = run(filter, batch.log, None, batch.start), run(filter, log)

@@ -12,8 +12,6 @@ from difffilter.figures.curves import curves_figure
 from difffilter.metrics import position_error
 from difffilter.report import Report
 
-SPEED_OF_LIGHT = 0.299792458  # m/ns
-
 #: RMSE in m that a prototype of the published filters gave with 100 runs (N_L in ns, p).
 COLUMNS = ("ekf", "huber", "m-ekf", "m-ekf-all-rows", "m-ekf-mad")
 REFERENCE: dict[tuple[float, float], tuple[float, ...]] = {
@@ -25,6 +23,7 @@ REFERENCE: dict[tuple[float, float], tuple[float, ...]] = {
     (100, 0.1): (2.64, 1.22, 1.01, 1.13, 1.53),
 }
 SHOWN = ("taylor-ls", "chan-ls", "ekf", "chan-ekf", "adaptive-ekf", "huber", "m-ekf", "clairvoyant")
+EMPHASISED = ("m-ekf", "m-ekf tuned", "clairvoyant")
 READINGS = {"literal (every difference)": 1.0, "intermittent (p = 0.1)": 0.1}
 
 
@@ -103,7 +102,7 @@ def windows_figure(
         panels[title] = (x, curves)
     figure = curves_figure(
         panels, "step", "RMSE in a window of 50 steps (m)", log=True,
-        emphasised=("m-ekf", "m-ekf tuned", "clairvoyant"),
+        emphasised=EMPHASISED,
     )  # fmt: skip
     report.heading("Figures of the paper")
     caption = f"Figure 7: RMSE along {steps} steps, {trajectories} trajectories"
@@ -124,25 +123,22 @@ def sweep_noise(
     trajectories: int,
     quick: bool,
 ) -> None:
-    """Figure 8: RMSE against the noise in line of sight; filters are told the noise."""
+    """Figure 8: RMSE against the noise in line of sight; published filters are told it."""
     levels = (5.0, 20.0) if quick else (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
     settings = [
         nlos(0, 0.0) | {"sensors.tdoa.noise.sigma": s, "parameters.tdoa.sigma.value": s}
         for s in levels
     ]
-    panels = {}
-    for title in READINGS:
-        panels[title] = (levels, _curves(scenario, settings, _of(tuned, title), trajectories, seed))
-    figure = curves_figure(
-        panels, "noise sigma (ns)", "RMSE (m)", emphasised=("m-ekf", "m-ekf tuned", "clairvoyant")
-    )
+    panels = {
+        title: (levels, _curves(scenario, settings, _of(tuned, title), trajectories, seed))
+        for title in READINGS
+    }
     caption = (
         f"Figure 8: RMSE against noise without NLOS, {trajectories} trajectories per point; "
         "published filters are told sigma, the tuned one (tuned at 10 ns with the NLOS of the "
         "panel) is not"
     )
-    report.figure(figure, "figure-8-noise", caption)
-    _sweep_table(report, "figure 8", "sigma (ns)", panels)
+    _sweep(report, "figure-8-noise", "noise sigma (ns)", panels, caption, log=False)
 
 
 def sweep_nlos(
@@ -159,16 +155,30 @@ def sweep_nlos(
     for title, p in READINGS.items():
         settings = [nlos(level, p) for level in levels]
         panels[title] = (levels, _curves(scenario, settings, _of(tuned, title), trajectories, seed))
-    figure = curves_figure(
-        panels, "N_L (ns)", "RMSE (m)", log=True, emphasised=("m-ekf", "m-ekf tuned", "clairvoyant")
-    )
     caption = (
         f"Figure 9: RMSE against the NLOS error, {trajectories} trajectories per point; tuned at "
         "one level alone: literal at 50 ns, intermittent at 100 ns. A tuned bias holds for the "
         "level that it was tuned at, and costs elsewhere."
     )
-    report.figure(figure, "figure-9-nlos", caption)
-    _sweep_table(report, "figure 9", "N_L (ns)", panels)
+    _sweep(report, "figure-9-nlos", "N_L (ns)", panels, caption, log=True)
+
+
+def _sweep(
+    report: Report,
+    name: str,
+    xlabel: str,
+    panels: Mapping[str, tuple[Any, Mapping[str, list[float]]]],
+    caption: str,
+    log: bool,
+) -> None:
+    """A figure of RMSE curves and the same as tables."""
+    figure = curves_figure(panels, xlabel, "RMSE (m)", log=log, emphasised=EMPHASISED)
+    report.figure(figure, name, caption)
+    number = " ".join(name.split("-")[:2])
+    for title, (x, curves) in panels.items():
+        report.text(f"{number.capitalize()}, {title}: RMSE in m.")
+        rows = [[level, *(y[i] for y in curves.values())] for i, level in enumerate(x)]
+        report.table(f"{number}, {title}", [xlabel, *curves], rows)
 
 
 def _of(tuned: Mapping[str, df.Checkpoint], title: str) -> df.Checkpoint:
@@ -192,15 +202,3 @@ def _curves(
             label = row.system if row.values == "published" else f"{row.system} tuned"
             curves[label].append(row.rmse)
     return curves
-
-
-def _sweep_table(
-    report: Report,
-    name: str,
-    head: str,
-    panels: Mapping[str, tuple[Any, Mapping[str, list[float]]]],
-) -> None:
-    for title, (x, curves) in panels.items():
-        report.text(f"{name.capitalize()}, {title}: RMSE in m.")
-        rows = [[level, *(y[i] for y in curves.values())] for i, level in enumerate(x)]
-        report.table(f"{name}, {title}", [head, *curves], rows)

@@ -149,8 +149,8 @@ def main() -> None:
     report.text(
         f"Value and gradient of the mean squared position error towards {len(values)} parameters: "
         f"TDOA EKF with imq weights, 7 channels, 4 states, B = {batch}, T = {steps}, float64, "
-        f"{os.cpu_count()} cores. Medians of {options.repetitions} interleaved repetitions; losses "
-        f"and gradients agree to {AGREEMENT:g}."
+        f"{os.cpu_count()} cores, torch {torch.__version__}. Medians of {options.repetitions} "
+        f"interleaved repetitions; losses and gradients agree to {AGREEMENT:g}."
     )
     head = ["engine", "ms", "us per filter step", "ratio: best of difffilter / this"]
     rows = [

@@ -32,7 +32,6 @@ class Trajectories:
 
     log: Log
     start: Start
-    size: int
 
     @property
     def count(self) -> int:
@@ -68,7 +67,6 @@ class Windows:
     log: Log
     start: Start
     rows: int
-    size: int
     every: int
     cut: Log | None = None
     beliefs: Belief | None = None

@@ -51,12 +51,12 @@ class Descent:
             check = simulate(scenario, settings.validation, seed, "validation")
             self.check = started(scenario, filter, check)
             assert train.start is not None
-            self.data = Trajectories(train, train.start, settings.batch)
+            self.data = Trajectories(train, train.start)
         else:
             self.check = started(scenario, filter, _timed(log))
             assert self.check.start is not None
-            rows, every = min(settings.window, log.steps), settings.refresh
-            self.data = Windows(self.check, self.check.start, rows, settings.batch, every)
+            rows = min(settings.window, log.steps)
+            self.data = Windows(self.check, self.check.start, rows, settings.refresh)
 
     def fingerprint(self) -> str:
         """Identifies the run for resuming: everything that its result depends on."""

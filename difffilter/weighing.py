@@ -1,0 +1,135 @@
+"""Weigh and condition: once from the innovation, or iteratively from residuals (M-EKF)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from difffilter.belief import Record
+from difffilter.condition import Conditioned, condition
+from difffilter.filter import Filter, Linearised
+from difffilter.linalg import square_norms
+from difffilter.parameters import Values
+
+__all__ = ["reweigh", "weigh_once"]
+
+
+def weigh_once(
+    filter: Filter, constants: Values, linear: Linearised, present: Tensor
+) -> tuple[Conditioned, Record]:
+    """Weights from the nominal innovation, one conditioning."""
+    nominal = square_norms(linear.observed) + linear.independent
+    scale = nominal if filter.standardise == "innovation" else linear.total
+    s = linear.innovation * scale.rsqrt()
+    weight = filter.weight(s, constants, constants.get("temperature"))
+    weight, gate = _gated(filter, constants, weight, linear, nominal)
+    weight = weight * present
+    conditioned = _condition(linear, linear.deviations, linear.observed, weight)
+    prior_weight = torch.ones_like(linear.mean)
+    return conditioned, _record(linear, s, weight, prior_weight, gate, present)
+
+
+def reweigh(
+    filter: Filter, constants: Values, linear: Linearised, present: Tensor
+) -> tuple[Conditioned, Record]:
+    """M-EKF: iteratively reweighted regression of [prediction; measurement].
+
+    Paper 3, eqs. (15)-(27). Weighing the prediction scales the columns of the deviations
+    by 1/sqrt(w_x); the shift of identity rows is minus the whitened prior residual, so that
+    no system is solved.
+    """
+    n = linear.mean.shape[-1]
+    weight = present.to(linear.mean.dtype)
+    gate = torch.ones_like(weight)
+    prior_weight = torch.ones_like(linear.mean)
+    s = linear.innovation
+    temperature = constants.get("temperature")
+    nominal = square_norms(linear.observed) + linear.independent
+    per_sigma = (nominal if filter.standardise == "innovation" else linear.total).rsqrt()
+    # Until the weights are final only residuals count: rows that carry them stand for X.
+    rows, split = _residual_rows(filter, linear)
+    conditioned = _condition(linear, rows, linear.observed, weight)
+    for i in range(filter.iterations):
+        residual = conditioned.residual
+        if linear.common:
+            residual = linear.innovation - conditioned.shift[..., split:]
+        s = residual * per_sigma
+        prior_s = -conditioned.shift[..., :split]
+        if filter.mad:
+            scale = _mad_scale(torch.cat([torch.where(present, s, torch.nan), prior_s], dim=-1))
+            s, prior_s = s / scale, prior_s / scale
+        weight = filter.weight(s, constants, temperature)
+        weight, gate = _gated(filter, constants, weight, linear, nominal)
+        weight = weight * present
+        rows = linear.deviations if i + 1 == filter.iterations else rows
+        deviations, observed = rows, linear.observed
+        if filter.weigh_prior:
+            floor = constants["prior.floor"]
+            prior_weight = floor + (1.0 - floor) * filter.weight(prior_s, constants, temperature)
+            ones = torch.ones_like(linear.deviations[..., 0, n:])
+            columns = torch.cat([prior_weight.rsqrt(), ones], dim=-1).unsqueeze(-2)
+            deviations, observed = rows * columns, observed * columns
+        conditioned = _condition(linear, deviations, observed, weight)
+    return conditioned, _record(linear, s, weight, prior_weight, gate, present)
+
+
+def _residual_rows(filter: Filter, linear: Linearised) -> tuple[Tensor, int]:
+    """Rows whose shifts tell the residuals, and how many of them tell the prior's.
+
+    Identity rows: minus the whitened prior residual. With common noise also the rows of
+    H X without it: H (x - m), which the measurement's own rows do not tell.
+    """
+    n, k = linear.mean.shape[-1], linear.deviations.shape[-1]
+    rows = linear.deviations[..., :0, :]
+    if filter.weigh_prior:
+        white = torch.eye(n, k, dtype=rows.dtype, device=rows.device)
+        rows = white.expand(*linear.mean.shape, k)
+    split = rows.shape[-2]
+    if linear.common:
+        own = linear.observed[..., : k - linear.common]
+        own = torch.nn.functional.pad(own, (0, linear.common))
+        rows = torch.cat([rows, own], dim=-2)
+    return rows, split
+
+
+def _condition(
+    linear: Linearised, deviations: Tensor, observed: Tensor, weight: Tensor
+) -> Conditioned:
+    """Condition so that a weight means R_ii -> R_ii / w, also for the common part of R."""
+    noise = linear.independent
+    if linear.common:
+        noise = noise + (1.0 - weight) * (linear.total - linear.independent)
+    return condition(deviations, observed, linear.innovation, weight, noise)
+
+
+def _gated(
+    filter: Filter, constants: Values, weight: Tensor, linear: Linearised, nominal: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Weight and gate of each channel, with the nominal innovation variance (..., m)."""
+    if filter.gate is None:
+        return weight, torch.ones_like(weight)
+    nis, share = linear.innovation.square() / nominal, linear.total / nominal
+    return filter.gate.weigh(weight, nis, constants, constants.get("temperature"), share)
+
+
+def _mad_scale(residuals: Tensor) -> Tensor:
+    """1.48 times the median absolute deviation over the last axis, NaN left out."""
+    spread = _median((residuals - _median(residuals)).abs())
+    spread = torch.where(torch.isnan(spread), 1.0, spread)  # no row at all
+    # With most residuals equal the deviation is 0: keep the scale away from it.
+    return (1.48 * spread).clamp_min(1e-3)
+
+
+def _median(x: Tensor) -> Tensor:
+    """Median over the last axis, NaN left out: the mean of the middle two of an even number."""
+    low = x.nanmedian(dim=-1, keepdim=True).values
+    high = -(-x).nanmedian(dim=-1, keepdim=True).values
+    return 0.5 * (low + high)
+
+
+def _record(
+    linear: Linearised, s: Tensor, weight: Tensor, prior: Tensor, gate: Tensor, present: Tensor
+) -> Record:
+    return Record(
+        linear.innovation, linear.observed, linear.independent, s, weight, prior, gate, present
+    )
