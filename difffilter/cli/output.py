@@ -52,7 +52,7 @@ def comparison_text(comparison: Comparison, scenario: Scenario) -> str:
         if scenario.systems[name].clairvoyant
     ]
     if bounds:
-        told = "told of every fault, a bound to aim at, not a filter to deploy"
+        told = "told of every fault, with published noise: to aim at, not to deploy"
         legend += f" {' and '.join(bounds)}: {told}."
     legend += " NEES per state and NIS per channel: 1 where errors are as large as claimed."
     return f"{comparison.markdown()}\n{legend}\n"
