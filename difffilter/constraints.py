@@ -11,6 +11,8 @@ from torch import Tensor
 from difffilter.linalg import semidefinite_cholesky
 
 __all__ = [
+    "Above",
+    "Below",
     "Constraint",
     "Covariance",
     "Interval",
@@ -66,19 +68,77 @@ class Real(Constraint):
 
 @dataclass(frozen=True)
 class Positive(Constraint):
-    """Above zero, through the exponential: steps are relative, scales stay scales."""
+    """Above zero, through the exponential: steps are relative, scales stay scales.
+
+    Attributes:
+        zero: entries of a vector that are known: exactly 0, and never tuned.
+    """
+
+    zero: tuple[int, ...] = ()
 
     def physical(self, free: Tensor) -> Tensor:
-        return free.exp()
+        value = free.exp()
+        if not self.zero:
+            return value
+        size = value.shape[-1] + len(self.zero)
+        return value.new_zeros(size).index_put((self._kept(size),), value)
 
     def free(self, physical: Tensor) -> Tensor:
-        return physical.log()
+        if not self.zero:
+            return physical.log()
+        return physical[self._kept(physical.shape[-1])].log()
 
     def expected(self) -> str:
-        return "a number above 0"
+        if not self.zero:
+            return "a number above 0"
+        return f"numbers above 0, and 0 at {', '.join(str(i + 1) for i in self.zero)}"
 
     def _admits(self, physical: Tensor) -> bool:
-        return bool((physical > 0).all())
+        if not self.zero:
+            return bool((physical > 0).all())
+        size = physical.shape[-1]
+        return bool((physical[self._kept(size)] > 0).all() and (physical[[*self.zero]] == 0).all())
+
+    def _kept(self, size: int) -> Tensor:
+        return torch.tensor([i for i in range(size) if i not in self.zero])
+
+
+@dataclass(frozen=True)
+class Above(Constraint):
+    """Above a bound, through low + exp."""
+
+    low: float
+
+    def physical(self, free: Tensor) -> Tensor:
+        return self.low + free.exp()
+
+    def free(self, physical: Tensor) -> Tensor:
+        return (physical - self.low).log()
+
+    def expected(self) -> str:
+        return f"a number above {self.low:g}"
+
+    def _admits(self, physical: Tensor) -> bool:
+        return bool((physical > self.low).all())
+
+
+@dataclass(frozen=True)
+class Below(Constraint):
+    """Below a bound, through high - exp."""
+
+    high: float
+
+    def physical(self, free: Tensor) -> Tensor:
+        return self.high - free.exp()
+
+    def free(self, physical: Tensor) -> Tensor:
+        return (self.high - physical).log()
+
+    def expected(self) -> str:
+        return f"a number below {self.high:g}"
+
+    def _admits(self, physical: Tensor) -> bool:
+        return bool((physical < self.high).all())
 
 
 @dataclass(frozen=True)

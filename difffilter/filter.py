@@ -15,6 +15,7 @@ from difffilter.condition import Conditioned
 from difffilter.constraints import Interval, Positive
 from difffilter.errors import InputError
 from difffilter.gate import Gate
+from difffilter.groups import DISTANCES, Scope, channel_groups
 from difffilter.motion import Motion
 from difffilter.parameters import (
     Number,
@@ -25,6 +26,7 @@ from difffilter.parameters import (
     declare,
     published_values,
 )
+from difffilter.recovery import Recovery
 from difffilter.sensor import Sensor
 from difffilter.weights import Weight, plain
 
@@ -107,13 +109,21 @@ class Filter:
         weigh_prior: whether the M-EKF weighs the prediction's residuals too.
         mad: whether the M-EKF divides residuals by 1.48 times their median absolute
             deviation (over measurement rows, and prior rows if weighed).
-        gate: chi-square gate on each channel's nominal NIS, or None.
+        scope: which channels share one weight and one gate: each ``channel`` by itself, those
+            of a ``sensor``, ``all``, or groups of channel names by group name (a channel
+            that no group names is by itself).
+        distance: how far a group is off: the ``rms`` of its standardised residuals, or their
+            ``mahalanobis`` distance sqrt(e^T C^-1 e), C being S or R as ``standardise`` says
+            (not divided by the number of channels, as in WoLF).
+        gate: chi-square gate on each group's nominal NIS, or None.
+        recovery: from lock-out by gate or weights, or None.
         adaptation: plug-in between predict and condition, or None.
         clairvoyant: told of every fault: the log's inputs ``fault.mean`` and
             ``fault.variance`` (..., m) are taken off the measurement and added to R; an
             infinite variance deletes the channel. A bound, not a filter to deploy.
         start_sigma: initial standard deviation of each state (parameter ``start.sigma``),
-            used where a run's start has no covariance; None for no such parameter.
+            used where a run's start has no covariance; None for no such parameter. A state
+            given as 0 is known exactly: it stays 0 in tuning too.
         overrides: declarations that replace the components' own (published value, source,
             tuned or not), by name.
 
@@ -133,7 +143,10 @@ class Filter:
     iterations: int = 0
     weigh_prior: bool = False
     mad: bool = False
+    scope: Scope = "channel"
+    distance: str = "rms"
     gate: Gate | None = None
+    recovery: Recovery | None = None
     adaptation: Adaptation | None = None
     clairvoyant: bool = False
     start_sigma: Number | None = None
@@ -150,6 +163,15 @@ class Filter:
             raise InputError(f"iterations: found {self.iterations}, expected 0 or more")
         if (self.weigh_prior or self.mad) and not self.iterations:
             raise InputError("weigh_prior and mad: expected iterations of 1 or more with them")
+        if self.distance not in DISTANCES:
+            expected = " or ".join(DISTANCES)
+            raise InputError(f"distance: found {self.distance!r}, expected {expected}")
+        inflating = self.recovery is not None and self.recovery.action == "inflate"
+        if inflating and self.standardise == "noise" and not self.iterations:
+            # A larger P moves no weight then: it would grow for ever.
+            raise InputError("recovery inflate: expected standardise innovation, or iterations")
+        if self.mad and self.grouped is not None:
+            raise InputError("mad: expected scope channel with it")
         names = self.channels
         if len(set(names)) != len(names):
             raise InputError(f"channels: found a name twice in {', '.join(names)}")
@@ -170,8 +192,17 @@ class Filter:
         return tuple(name for sensor in self.sensors for name in sensor.channels)
 
     @cached_property
+    def grouped(self) -> tuple[tuple[int, ...], ...] | None:
+        """Channels of each group; None where every channel is by itself."""
+        per_sensor = [len(sensor.channels) for sensor in self.sensors]
+        groups = channel_groups(self.scope, self.channels, per_sensor)
+        return groups if any(len(group) > 1 for group in groups) else None
+
+    @cached_property
     def _own(self) -> dict[str, Parameter]:
-        parts = [self.motion, *self.sensors, self.weight, self.gate, self.adaptation]
+        parts = [
+            self.motion, *self.sensors, self.weight, self.gate, self.recovery, self.adaptation
+        ]  # fmt: skip
         own = [p for part in parts if part is not None for p in part.parameters]
         if self.weigh_prior:
             meaning = "least weight of a prior row"
@@ -186,11 +217,12 @@ class Filter:
                     f"start.sigma: found shape {list(shape)}, expected one number or "
                     f"{len(self.states)} numbers"
                 )
+            known = sigma if isinstance(sigma, tuple) else ()
             own.append(
                 Parameter(
                     "start.sigma",
                     sigma,
-                    Positive(),
+                    Positive(tuple(i for i, entry in enumerate(known) if entry == 0.0)),
                     "m, m/s",
                     labels=self.states if isinstance(sigma, tuple) else (),
                     meaning=meaning,
@@ -233,6 +265,8 @@ class Filter:
         parts: tuple[Motion | Sensor | Weight, ...] = (self.motion, *self.sensors, self.weight)
         for part in parts:
             constants.update(part.prepare(complete))
+        if self.gate is not None:
+            constants.update(self.gate.prepare(complete, max(map(len, self.grouped or ((0,),)))))
         if temperature is not None:
             constants["temperature"] = torch.tensor(temperature, dtype=dtype)
         return constants
@@ -246,6 +280,8 @@ class Filter:
                 )
 
     def start(self, mean: Tensor, deviations: Tensor) -> Belief:
-        """Initial belief, with the adaptation's memory at its declared start."""
+        """Initial belief, with the memory of recovery and adaptation at its declared start."""
         memory = self.adaptation.memory(mean, len(self.channels)) if self.adaptation else {}
+        if self.recovery is not None:
+            memory = memory | self.recovery.memory(mean)
         return Belief(mean, deviations, memory)

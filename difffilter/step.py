@@ -13,6 +13,7 @@ from difffilter.belief import Belief, Measurement, Record
 from difffilter.filter import Filter, Linearised
 from difffilter.linalg import compress, join
 from difffilter.parameters import Values
+from difffilter.recovery import STREAK, Recovery
 from difffilter.weighing import reweigh, weigh_once
 
 __all__ = ["predict", "step"]
@@ -35,15 +36,18 @@ def step(
     mean, deviations = predict(filter, constants, belief, measurement)
     present = ~torch.isnan(measurement.z)
     linear, present = _linearise(filter, constants, mean, deviations, measurement, present)
-    memory = belief.memory
+    memory, widening = belief.memory, None
     if filter.adaptation is not None:
         linear, memory = filter.adaptation.before_condition(memory, linear, present, constants)
-    if filter.iterations:
-        conditioned, record = reweigh(filter, constants, linear, present)
-    else:
-        conditioned, record = weigh_once(filter, constants, linear, present)
+    if filter.recovery is not None:
+        linear, widening = _recover(filter.recovery, belief.memory[STREAK], linear, constants)
+    weigh = reweigh if filter.iterations else weigh_once
+    conditioned, record = weigh(filter, constants, linear, present, widening)
     if filter.adaptation is not None:
         memory = filter.adaptation.after_condition(memory, linear, conditioned, present, constants)
+    if filter.recovery is not None:
+        streak = filter.recovery.count(belief.memory[STREAK], record.weight, present)
+        memory = {**memory, STREAK: streak}
     n = mean.shape[-1]
     posterior = conditioned.deviations[..., :n, :]
     if posterior.shape[-1] > n:  # columns of common noise: static, by the recipe
@@ -102,6 +106,22 @@ def _linearise(
         z_deviations = torch.cat([z_deviations, shared], dim=-1)
         deviations = torch.nn.functional.pad(deviations, (0, columns))
     return Linearised(mean, deviations, innovation, z_deviations, r, r_total, columns), present
+
+
+def _recover(
+    recovery: Recovery, streak: Tensor, linear: Linearised, constants: Values
+) -> tuple[Linearised, Tensor | None]:
+    """The predicted covariance grown, or the factor by which gate and weights are widened."""
+    growth = recovery.growth(streak, constants)
+    if recovery.action == "widen":
+        return linear, growth
+    k = linear.deviations.shape[-1]
+    columns = growth.sqrt().unsqueeze(-1).expand(*growth.shape, k - linear.common)
+    columns = torch.nn.functional.pad(columns, (0, linear.common), value=1.0).unsqueeze(-2)
+    grown = linear._replace(
+        deviations=linear.deviations * columns, observed=linear.observed * columns
+    )
+    return grown, None
 
 
 def _join(parts: list[Tensor], dim: int, core: int) -> Tensor:

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from difffilter.belief import Record
 from difffilter.condition import Conditioned, condition
 from difffilter.filter import Filter, Linearised
-from difffilter.linalg import square_norms
+from difffilter.groups import group_rms, normalised_square, spread
+from difffilter.linalg import positive_sqrt, square_norms
 from difffilter.parameters import Values
 
 __all__ = ["reweigh", "weigh_once"]
 
 
 def weigh_once(
-    filter: Filter, constants: Values, linear: Linearised, present: Tensor
+    filter: Filter,
+    constants: Values,
+    linear: Linearised,
+    present: Tensor,
+    widening: Tensor | None = None,
 ) -> tuple[Conditioned, Record]:
-    """Weights from the nominal innovation, one conditioning."""
-    nominal = square_norms(linear.observed) + linear.independent
-    scale = nominal if filter.standardise == "innovation" else linear.total
-    s = linear.innovation * scale.rsqrt()
+    """Weights from the nominal innovation, one conditioning.
+
+    ``widening`` (...) divides every NIS that gate and weight see (see ``recovery``).
+    """
+    scales = _scales(filter, linear, widening)
+    s = _distance(filter, linear, linear.innovation, present, scales)
     weight = filter.weight(s, constants, constants.get("temperature"))
-    weight, gate = _gated(filter, constants, weight, linear, nominal)
+    weight, gate = _gated(filter, constants, weight, linear, present, scales)
     weight = weight * present
     conditioned = _condition(linear, linear.deviations, linear.observed, weight)
     prior_weight = torch.ones_like(linear.mean)
@@ -30,7 +39,11 @@ def weigh_once(
 
 
 def reweigh(
-    filter: Filter, constants: Values, linear: Linearised, present: Tensor
+    filter: Filter,
+    constants: Values,
+    linear: Linearised,
+    present: Tensor,
+    widening: Tensor | None = None,
 ) -> tuple[Conditioned, Record]:
     """M-EKF: iteratively reweighted regression of [prediction; measurement].
 
@@ -44,8 +57,7 @@ def reweigh(
     prior_weight = torch.ones_like(linear.mean)
     s = linear.innovation
     temperature = constants.get("temperature")
-    nominal = square_norms(linear.observed) + linear.independent
-    per_sigma = (nominal if filter.standardise == "innovation" else linear.total).rsqrt()
+    scales = _scales(filter, linear, widening)
     # Until the weights are final only residuals count: rows that carry them stand for X.
     rows, split = _residual_rows(filter, linear)
     conditioned = _condition(linear, rows, linear.observed, weight)
@@ -53,13 +65,13 @@ def reweigh(
         residual = conditioned.residual
         if linear.common:
             residual = linear.innovation - conditioned.shift[..., split:]
-        s = residual * per_sigma
+        s = _distance(filter, linear, residual, present, scales)
         prior_s = -conditioned.shift[..., :split]
         if filter.mad:
             scale = _mad_scale(torch.cat([torch.where(present, s, torch.nan), prior_s], dim=-1))
             s, prior_s = s / scale, prior_s / scale
         weight = filter.weight(s, constants, temperature)
-        weight, gate = _gated(filter, constants, weight, linear, nominal)
+        weight, gate = _gated(filter, constants, weight, linear, present, scales)
         weight = weight * present
         rows = linear.deviations if i + 1 == filter.iterations else rows
         deviations, observed = rows, linear.observed
@@ -102,14 +114,85 @@ def _condition(
     return condition(deviations, observed, linear.innovation, weight, noise)
 
 
+class _Scales(NamedTuple):
+    """What residuals are measured with.
+
+    nominal: (..., m), innovation variance S_ii; per_sigma: (..., m), divides residuals;
+    widening: (...) or None.
+    """
+
+    nominal: Tensor
+    per_sigma: Tensor
+    widening: Tensor | None
+
+
+def _scales(filter: Filter, linear: Linearised, widening: Tensor | None) -> _Scales:
+    nominal = square_norms(linear.observed) + linear.independent
+    variance = nominal if filter.standardise == "innovation" else linear.total
+    if widening is not None:
+        variance = variance * widening.unsqueeze(-1)
+    return _Scales(nominal, variance.rsqrt(), widening)
+
+
+def _distance(
+    filter: Filter, linear: Linearised, residual: Tensor, present: Tensor, scales: _Scales
+) -> Tensor:
+    """(..., m), residuals in sigmas as the weight function sees them: one per group."""
+    s = residual * scales.per_sigma
+    if filter.grouped is None:
+        return s
+    if filter.distance == "rms":
+        return spread(filter.grouped, [group_rms(s, present, g) for g in filter.grouped])
+    observed = linear.observed
+    if filter.standardise == "noise":
+        observed = observed[..., observed.shape[-1] - linear.common :]
+    return positive_sqrt(_squares(filter, linear, residual, observed, present, scales.widening))
+
+
+def _squares(
+    filter: Filter,
+    linear: Linearised,
+    residual: Tensor,
+    observed: Tensor,
+    present: Tensor,
+    widening: Tensor | None,
+) -> Tensor:
+    """(..., m), e^T (Z Z^T + diag r)^-1 e of each channel's group."""
+    assert filter.grouped is not None
+    squares = spread(
+        filter.grouped,
+        [
+            normalised_square(residual, observed, linear.independent, present, group)
+            for group in filter.grouped
+        ],
+    )
+    return squares if widening is None else squares / widening.unsqueeze(-1)
+
+
 def _gated(
-    filter: Filter, constants: Values, weight: Tensor, linear: Linearised, nominal: Tensor
+    filter: Filter,
+    constants: Values,
+    weight: Tensor,
+    linear: Linearised,
+    present: Tensor,
+    scales: _Scales,
 ) -> tuple[Tensor, Tensor]:
-    """Weight and gate of each channel, with the nominal innovation variance (..., m)."""
+    """Weight and gate of each channel, from the NIS of its group."""
     if filter.gate is None:
         return weight, torch.ones_like(weight)
-    nis, share = linear.innovation.square() / nominal, linear.total / nominal
-    return filter.gate.weigh(weight, nis, constants, constants.get("temperature"), share)
+    share, degrees = linear.total / scales.nominal, None
+    if filter.grouped is None:
+        nis = linear.innovation.square() / scales.nominal
+        if scales.widening is not None:
+            nis = nis / scales.widening.unsqueeze(-1)
+    else:
+        nis = _squares(
+            filter, linear, linear.innovation, linear.observed, present, scales.widening
+        )
+        counts = [present[..., [*group]].sum(-1) for group in filter.grouped]
+        degrees = spread(filter.grouped, counts)
+    temperature = constants.get("temperature")
+    return filter.gate.weigh(weight, nis, degrees, constants, temperature, share)
 
 
 def _mad_scale(residuals: Tensor) -> Tensor:
