@@ -10,6 +10,7 @@ from difffilter.log import Log, Start
 from difffilter.parameters import Values
 from difffilter.run import Track, run
 from difffilter.start import from_measurements
+from difffilter.triangulate import from_bearings
 
 if TYPE_CHECKING:
     from difffilter.scenario.scenario import Scenario
@@ -21,6 +22,8 @@ __all__ = ["estimate", "started"]
 def started(scenario: Scenario, system: System, log: Log, values: Values | None = None) -> Log:
     """The log with a start: its own, else one from its first measurements.
 
+    ``[start] kind = "bearings"`` crosses the first bearings; in a simulated world the start is
+    then one time step before the first row, at step 0.
     How many rows that reads, and how unknown the velocity is, the scenario's ``[start]``
     says; values are those of the system's parameters, the published ones if missing.
     """
@@ -28,6 +31,11 @@ def started(scenario: Scenario, system: System, log: Log, values: Values | None 
     if log.start is not None:
         return log
     spec = scenario.start
+    if spec.kind == "bearings":
+        assert spec.velocity is not None
+        lead = scenario.world.dt if scenario.world else 0.0
+        start = from_bearings(system, log, spec.velocity, values, rows=spec.rows, lead=lead)
+        return replace(log, start=start)
     start = from_measurements(
         system, log, values, rows=spec.rows, velocity_sigma=spec.unknown_velocity
     )

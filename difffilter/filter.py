@@ -28,6 +28,7 @@ from difffilter.parameters import (
 )
 from difffilter.recovery import Recovery
 from difffilter.sensor import Sensor
+from difffilter.station_sensor import StationSensor
 from difffilter.weights import Weight, plain
 
 __all__ = ["STANDARDISATIONS", "Adaptation", "Filter", "Linearised"]
@@ -272,7 +273,10 @@ class Filter:
         return constants
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
-        """Raise InputError if a clairvoyant filter is not told of the faults."""
+        """Raise InputError if a known input is missing: a platform, or what is foretold."""
+        for sensor in self.sensors:
+            if isinstance(sensor, StationSensor):
+                sensor.check_inputs(inputs)
         for name in ("fault.mean", "fault.variance") if self.clairvoyant else ():
             if name not in inputs:
                 raise InputError(

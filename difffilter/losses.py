@@ -11,7 +11,7 @@ from torch import Tensor
 
 from difffilter.errors import InputError
 from difffilter.log import Log
-from difffilter.metrics import nees, nees_states, position_error, scored_rows
+from difffilter.metrics import Score, nees, nees_states, position_error, scored_rows
 from difffilter.run import Track
 
 __all__ = ["LOSSES", "Loss", "LossContext", "total_loss"]
@@ -26,7 +26,7 @@ class LossContext:
         degrees: degrees of freedom of the Student density of ``likelihood``.
     """
 
-    score: str = "all"
+    score: Score | str = "all"
     degrees: float = 4.0
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -12,6 +15,8 @@ from difffilter.run import Track
 from difffilter.seeds import stream
 
 __all__ = [
+    "SCORES",
+    "Score",
     "bootstrap_interval",
     "nees",
     "nis_per_channel",
@@ -21,6 +26,23 @@ __all__ = [
     "rmse",
     "scored_rows",
 ]
+
+
+SCORES = ("all", "measured")
+
+
+@dataclass(frozen=True)
+class Score:
+    """Which rows of a log count.
+
+    Attributes:
+        rows: ``all``, or those ``measured`` by at least one channel.
+        first, last: s, times of the log between which rows count, both included.
+    """
+
+    rows: str = "all"
+    first: float = -math.inf
+    last: float = math.inf
 
 
 def _position_states(log: Log, track: Track) -> list[str]:
@@ -49,20 +71,23 @@ def position_error(log: Log, track: Track) -> Tensor:
     return _difference(log, track, _position_states(log, track)).square().sum(-1)
 
 
-def scored_rows(log: Log, track: Track, score: str = "all") -> Tensor:
-    """(T, ...), rows that count: those with truth and an estimate, and a measurement.
+def scored_rows(log: Log, track: Track, score: Score | str = "all") -> Tensor:
+    """(T, ...), rows that count: those with truth and an estimate, as ``score`` says.
 
     Args:
-        score: ``all`` rows, or only those ``measured`` by at least one channel. Rows that
-            only pad a shorter log have no truth and never count.
+        score: a :class:`Score`, or its ``rows`` alone. Rows that only pad a shorter log have
+            no truth and never count.
     """
     if log.truth is None:
         raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
+    chosen = Score(score) if isinstance(score, str) else score
     rows = torch.isfinite(log.truth).all(-1) & torch.isfinite(track.mean).all(-1)
-    return rows & log.measured if score == "measured" else rows
+    time = log.time if log.time.dim() == rows.dim() else log.time.unsqueeze(-1)
+    rows = rows & (time >= chosen.first) & (time <= chosen.last)
+    return rows & log.measured if chosen.rows == "measured" else rows
 
 
-def rmse(log: Log, track: Track, score: str = "all") -> Tensor:
+def rmse(log: Log, track: Track, score: Score | str = "all") -> Tensor:
     """Position root mean square error over scored rows of all trajectories, m."""
     rows = scored_rows(log, track, score)
     return position_error(log, track)[rows].mean().sqrt()

@@ -13,7 +13,7 @@ from difffilter.log import Log, stack_logs
 from difffilter.logfile import read_log
 from difffilter.motion import ConstantVelocity
 from difffilter.scenario.scenario import Scenario
-from difffilter.sensors import Range
+from difffilter.sensors import StationSensor
 
 __all__ = ["load_logs", "scenario_of_run"]
 
@@ -55,7 +55,7 @@ def _load(scenario: Scenario, path: Path, run: str | None) -> Log:
             )
     inputs = dict(log.inputs)
     for sensor in own.sensors.values():
-        if isinstance(sensor.model, Range):
+        if isinstance(sensor.model, StationSensor):
             stations = torch.tensor(sensor.model.stations, dtype=log.z.dtype)
             inputs[f"{sensor.model.name}.stations"] = stations.expand(log.steps, -1, -1)
     return replace(log, inputs=inputs)

@@ -27,8 +27,9 @@ def simulate(
 
     Returns:
         Log with z (T, B, m), truth (T, B, 2 axes), the prescribed start where the scenario
-        starts from the truth, and what clairvoyant filters are told (inputs ``fault.mean``
-        and ``fault.variance``).
+        starts from the truth, the platform's position (inputs ``platform_x``...) where there
+        is one, and what clairvoyant filters are told (inputs ``fault.mean`` and
+        ``fault.variance``).
 
     Raises:
         InputError: a scenario of recorded logs, or trajectories below 1.
@@ -45,9 +46,13 @@ def simulate(
         raise InputError(f"trajectories: found {trajectories}, expected 1 or more")
     path = world.simulate(trajectories, stream(seed, purpose, "truth"))
     truth = path[1:]
+    inputs = {}
+    if world.platform is not None:
+        known = world.platform_path().unsqueeze(1).expand(-1, trajectories, -1)
+        inputs = dict(zip(world.platform_inputs, known.unbind(-1), strict=True))
     z = torch.cat(
         [
-            sensor.measure(truth, stream(seed, purpose, "noise", name), {})
+            sensor.measure(truth, stream(seed, purpose, "noise", name), inputs)
             for name, sensor in scenario.sensors.items()
         ],
         dim=-1,
@@ -64,7 +69,7 @@ def simulate(
         z=z,
         truth=truth,
         truth_states=world.states,
-        inputs={"fault.mean": mean, "fault.variance": variance},
+        inputs=inputs | {"fault.mean": mean, "fault.variance": variance},
         start=_start(scenario, path[0], seed, purpose),
         names=tuple(f"{scenario.name}-{seed}-{i}" for i in range(trajectories)),
     )

@@ -15,7 +15,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.parameters import Values
 from difffilter.sensor import Sensor
-from difffilter.sensors import TDOA, Position, Range
+from difffilter.sensors import TDOA, Bearing, Position, Range, StationSensor
 
 __all__ = ["candidates"]
 
@@ -61,6 +61,9 @@ def candidates(
         elif isinstance(sensor, Range):
             stations = _stations(sensor, constants, inputs, z)[..., :axes]
             found.append(_rings(stations, here - constants[f"{sensor.name}.bias"]))
+        elif isinstance(sensor, Bearing):
+            stations = _stations(sensor, constants, inputs, z)
+            found.append(_rays(stations, here - constants[f"{sensor.name}.bias"]))
         else:
             unknown = True
     if unknown and not found:
@@ -69,10 +72,12 @@ def candidates(
     return found
 
 
-def _stations(sensor: Range, constants: Values, inputs: Mapping[str, Tensor], z: Tensor) -> Tensor:
+def _stations(
+    sensor: StationSensor, constants: Values, inputs: Mapping[str, Tensor], z: Tensor
+) -> Tensor:
     """(B, stations, coordinates) at the first epoch."""
-    key = f"{sensor.name}.stations"
-    stations = inputs[key][0] if key in inputs else constants[key]
+    first = {name: value[0] for name, value in inputs.items()}
+    stations = sensor.located(first, constants)
     return stations.expand(z.shape[1], *stations.shape[-2:])
 
 
@@ -86,6 +91,15 @@ def _rings(stations: Tensor, ranges: Tensor) -> Tensor:
     spread = every.nanquantile(every.new_tensor([0.2, 0.8]), dim=-1)
     radii = torch.cat([torch.stack([0.9 * middle, middle, 1.1 * middle]), spread])
     return _around(stations.mean(-2), torch.where(torch.isnan(radii), 1.0, radii))
+
+
+def _rays(stations: Tensor, bearings: Tensor) -> Tensor:
+    """Points along each station's first bearing (E, B, m), at any distance."""
+    first = (~torch.isnan(bearings)).to(torch.int8).argmax(0, keepdim=True)
+    bearing = torch.nan_to_num(bearings.gather(0, first)[0])
+    direction = torch.stack([bearing.cos(), bearing.sin()], dim=-1)
+    radii = bearings.new_tensor(FALLBACK_RADII)[:, None, None, None]
+    return (stations + radii * direction).movedim(2, 1)
 
 
 def _around(centre: Tensor, radii: Tensor) -> Tensor:

@@ -186,9 +186,7 @@ def _gated(
         if scales.widening is not None:
             nis = nis / scales.widening.unsqueeze(-1)
     else:
-        nis = _squares(
-            filter, linear, linear.innovation, linear.observed, present, scales.widening
-        )
+        nis = _squares(filter, linear, linear.innovation, linear.observed, present, scales.widening)
         counts = [present[..., [*group]].sum(-1) for group in filter.grouped]
         degrees = spread(filter.grouped, counts)
     temperature = constants.get("temperature")

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from difffilter.constraints import (
+    Above,
+    Below,
     Constraint,
     Covariance,
     Interval,
@@ -23,6 +25,9 @@ from difffilter.constraints import (
 KINDS: list[tuple[Constraint, int]] = [
     (Real(), 3),
     (Positive(), 3),
+    (Positive(zero=(0, 3)), 3),
+    (Above(1.0), 3),
+    (Below(2.0), 3),
     (Interval(), 3),
     (Interval(-5.0, 2.0), 3),
     (OrderedPair(), 2),
@@ -62,6 +67,12 @@ def test_what_the_map_gives_is_admitted_in_either_precision(
     [
         (Real(), -3.5),
         (Positive(), (1e-9, 1e9)),
+        (Positive(zero=(1,)), (1e-9, 0.0, 1e9)),
+        (Positive(zero=(0, 1)), (0.0, 0.0)),
+        (Above(1.0), (1.5, 1e6)),
+        (Above(-3.0), -2.0),
+        (Below(2.0), (1.5, -1e6)),
+        (Below(-3.0), -4.0),
         (Interval(), (1e-6, 0.5, 1 - 1e-6)),
         (OrderedPair(), (1.5, 4.0)),
         (OrderedPair(), (1e-3, 1e3)),
@@ -85,6 +96,15 @@ def test_a_physical_value_survives_the_round_trip(constraint: Constraint, value:
         (Positive(), 0.0),
         (Positive(), (1.0, -1e-9)),
         (Positive(), float("inf")),
+        (Positive(zero=(1,)), (1.0, 1e-9)),
+        (Positive(zero=(1,)), (0.0, 0.0)),
+        (Positive(zero=(1,)), (1.0, 0.0, -2.0)),
+        (Above(1.0), 1.0),
+        (Above(1.0), (2.0, 0.5)),
+        (Above(1.0), float("inf")),
+        (Below(2.0), 2.0),
+        (Below(2.0), (1.0, 3.0)),
+        (Below(2.0), float("-inf")),
         (Interval(), 0.0),
         (Interval(), (0.5, 1.0)),
         (Interval(-5.0, 2.0), 2.5),
@@ -147,3 +167,6 @@ def test_every_constraint_says_what_it_expects() -> None:
     sentences = {constraint.expected() for constraint, _ in KINDS}
     assert len(sentences) == len(KINDS)
     assert Interval(-5.0, 2.0).expected() == "a number between -5 and 2"
+    assert Above(1.0).expected() == "a number above 1"
+    assert Below(2.0).expected() == "a number below 2"
+    assert Positive(zero=(0, 3)).expected() == "numbers above 0, and 0 at 1, 4"

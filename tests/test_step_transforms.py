@@ -22,10 +22,11 @@ from difffilter.belief import Belief, Measurement, belief
 from difffilter.filter import Filter
 from difffilter.gate import Gate
 from difffilter.motion import ConstantVelocity
+from difffilter.recovery import Recovery
 from difffilter.sensor import FunctionSensor
 from difffilter.sensors import TDOA, Position
 from difffilter.step import step
-from difffilter.weights import huber, igg3, tanh
+from difffilter.weights import barron, danish, huber, igg3, student_t, tanh, tukey, welsch
 
 NAN = torch.nan
 INNOVATION = tensor([2.0, -4.0, 40.0, 1.0, 5.5, -9.0, 14.0])
@@ -50,6 +51,19 @@ def recipes() -> dict[str, Filter]:
         "m-ekf all rows": tdoa_filter(weight=tanh, iterations=3, weigh_prior=True),
         "m-ekf MAD": tdoa_filter(weight=huber, iterations=2, weigh_prior=True, mad=True),
         "user's sensor": tdoa_filter(sensor=user, weight=huber),
+        "sensor's rms": tdoa_filter(sensor=full, weight=danish, scope="all", gate=Gate("reweigh")),
+        "groups": tdoa_filter(
+            sensor=common,
+            weight=barron,
+            scope={"first": common.channels[:3], "second": common.channels[4:]},
+            distance="mahalanobis",
+            gate=Gate("inflate"),
+        ),
+        "m-ekf of groups": tdoa_filter(
+            sensor=full, weight=student_t, scope="all", distance="mahalanobis", iterations=2
+        ),
+        "widen": tdoa_filter(weight=welsch, gate=Gate("reject"), recovery=Recovery("widen")),
+        "inflate": tdoa_filter(weight=tukey, iterations=2, recovery=Recovery("inflate", 1.0)),
     }
 
 
@@ -67,7 +81,8 @@ def setting(filter: Filter, rng: np.random.Generator) -> tuple[Belief, Tensor]:
 def outputs(
     filter: Filter, constants: dict[str, Tensor], mean: Tensor, deviations: Tensor, z: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    after, record = step(filter, constants, Belief(mean, deviations), Measurement(z, tensor(0.5)))
+    start = filter.start(mean, deviations)
+    after, record = step(filter, constants, start, Measurement(z, tensor(0.5)))
     return after.mean, after.covariance, record.weight
 
 
@@ -159,7 +174,7 @@ def test_float32_gives_the_float64_result_in_float32(rng: np.random.Generator, n
     after, record = step(
         filter,
         single,
-        Belief(state.mean.float(), state.deviations.float()),
+        filter.start(state.mean.float(), state.deviations.float()),
         Measurement(z.float(), torch.tensor(0.5)),
     )
     for found, reference in zip(

@@ -7,29 +7,56 @@ from torch import Tensor
 
 from difffilter.weights import WEIGHTS, Weight
 
-NAMES = ("plain", "huber", "igg3", "tanh", "imq")
+NAMES = tuple(WEIGHTS)
+#: All but the one without parameters.
+VARIED = tuple(name for name in NAMES if name != "plain")
 TEMPERATURES = (None, 1.0, 0.1, 0.01)
+#: Values that the literature uses, besides the defaults; for barron [alpha, k].
+LITERATURE: dict[str, list[tuple[float, ...]]] = {
+    "huber": [(1.0,), (1.345,), (2.0,)],
+    "igg3": [(1.2, 4.0), (1.0, 2.5), (1.5, 2.5), (1.0, 8.0), (1.5, 8.0)],
+    "tanh": [(1.5, 4.0), (1.0, 4.0), (1.5, 3.0), (2.0, 6.0)],
+    "danish": [(1.5,), (2.0,), (3.0,)],
+    "tukey": [(3.0,), (4.685,), (6.0,)],
+    "cauchy": [(1.0,), (2.385,)],
+    "welsch": [(2.0,), (2.985,)],
+    "imq": [(1.0,), (3.0,), (5.0,)],
+    "student-t": [(1.0,), (4.0,), (10.0,)],
+    "barron": [(0.0, 1.686), (1.0, 1.0), (-2.0, 2.0), (1.9, 1.5), (-50.0, 3.0)],
+}
+
+Numbers = tuple[float, ...]
 
 
-def values_of(weight: Weight, numbers: tuple[float, ...] | None = None) -> dict[str, Tensor]:
-    """The weight's parameters at the given numbers, or at their defaults."""
-    if not weight.parameters:
-        return {}
-    (parameter,) = weight.parameters
-    if numbers is None:
-        return {parameter.name: parameter.tensor()}
-    return {parameter.name: tensor(numbers).reshape(parameter.tensor().shape)}
+def values_of(weight: Weight, numbers: Numbers | None = None) -> dict[str, Tensor]:
+    """The weight's parameters at the given numbers, in order, or at their defaults."""
+    values, at = {}, 0
+    for parameter in weight.parameters:
+        value = parameter.tensor()
+        if numbers is not None:
+            here = numbers[at : at + value.numel()]
+            value = tensor(here).reshape(value.shape)
+            at += len(here)
+        values[parameter.name] = value
+    return values
 
 
 def evaluate(
-    name: str, s: Tensor, temperature: float | None = None, numbers: tuple[float, ...] | None = None
+    name: str, s: Tensor, temperature: float | None = None, numbers: Numbers | None = None
 ) -> Tensor:
     weight = WEIGHTS[name]
     constants = weight.prepare(values_of(weight, numbers))
     return weight(s, constants, None if temperature is None else tensor(temperature))
 
 
-def clipping_points(numbers: tuple[float, ...] | None) -> Tensor:
+def kinks(name: str, numbers: Numbers | None) -> Numbers:
+    """Residuals at which the hard form may have a kink, or which scale it."""
+    if name == "student-t":
+        return (1.0,)
+    return tuple(numbers or ())[1:] if name == "barron" else tuple(numbers or ())
+
+
+def clipping_points(name: str, numbers: Numbers | None) -> Tensor:
     """s = 0, the clipping points on both sides, and far out."""
-    points = list(numbers or ())
+    points = kinks(name, numbers)
     return tensor([0.0, *points, *(-p for p in points), 1e6, -1e6])

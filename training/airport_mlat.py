@@ -10,7 +10,7 @@ figures 6 to 9. Writes report/airport-mlat and the frozen values in checkpoints/
 from __future__ import annotations
 
 from airport_tables import REFERENCE, reference_table, sweep_nlos, sweep_noise, windows_figure
-from common import QUICK, Stages, arguments, checkpoint_path
+from common import QUICK, Stages, arguments, checkpoint_path, values_table
 
 import difffilter as df
 from difffilter.figures.tracks import track_figure
@@ -73,17 +73,6 @@ def main() -> None:
     sweep_noise(report, literal, tuned, seed, 10 if quick else 100, quick)
     sweep_nlos(report, literal, tuned, seed, 10 if quick else 100, quick)
     stages.next(f"wrote {report.write()}")
-
-
-def values_table(checkpoint: df.Checkpoint) -> tuple[list[str], list[list[object]]]:
-    """Each tuned value before and after."""
-    rows: list[list[object]] = []
-    for name, parameter in checkpoint.published_filter.declarations.items():
-        if parameter.tuned:
-            before, after = parameter.tensor().reshape(-1), checkpoint.values[name].reshape(-1)
-            for entry, b, a in zip(parameter.entries(), before, after, strict=True):
-                rows.append([entry, float(b), float(a), parameter.unit, parameter.source])
-    return ["parameter", "published", "tuned", "unit", "source of the published value"], rows
 
 
 def judge(report: Report, name: str, table: df.Comparison) -> None:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import torch
 
+import difffilter as df
+
 #: Appended to the introduction of a report that was made with small sizes.
 QUICK = " **A quick run: too small for the claims at the end; it shows that everything works.**"
 
@@ -50,6 +52,17 @@ def checkpoint_path(stem: str, options: argparse.Namespace) -> Path:
     """Where the frozen values of an experiment go; a quick run leaves checkpoints/ alone."""
     folder = options.checkpoints or (options.out if options.quick else ROOT / "checkpoints")
     return Path(folder) / f"{stem}.json"
+
+
+def values_table(checkpoint: df.Checkpoint) -> tuple[list[str], list[list[object]]]:
+    """Each tuned value before and after."""
+    rows: list[list[object]] = []
+    for name, parameter in checkpoint.published_filter.declarations.items():
+        if parameter.tuned:
+            before, after = parameter.tensor().reshape(-1), checkpoint.values[name].reshape(-1)
+            for entry, b, a in zip(parameter.entries(), before, after, strict=True):
+                rows.append([entry, float(b), float(a), parameter.unit, parameter.source])
+    return ["parameter", "published", "tuned", "unit", "source of the published value"], rows
 
 
 class Stages:

@@ -20,7 +20,12 @@ from pathlib import Path
 from tqdm import tqdm
 
 HERE = Path(__file__).resolve().parent
-EXPERIMENTS = {"airport-mlat": "airport_mlat.py", "uwb-ranges": "uwb_ranges.py"}
+EXPERIMENTS = {
+    "airport-mlat": "airport_mlat.py",
+    "airborne-bearing": "airborne_bearing.py",
+    "uwb-ranges": "uwb_ranges.py",
+    "weights": "weights.py",
+}
 
 
 def main() -> int:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from difffilter.files import write_atomically
 from difffilter.log import Log
-from difffilter.metrics import rejected, rmse
+from difffilter.metrics import Score, rejected, rmse
 from difffilter.run import Track
 
 __all__ = ["columns", "summary", "write_estimates"]
@@ -52,7 +52,7 @@ def _weights(log: Log, track: Track) -> Tensor:
     return torch.where(track.record.present, track.record.weight, 0.0)
 
 
-def summary(log: Log, track: Track, score: str) -> dict[str, Any]:
+def summary(log: Log, track: Track, score: Score | str) -> dict[str, Any]:
     """Number of rows, position RMSE (None without its truth), share rejected per channel."""
     positions = {name for name in track.states if not name.startswith("v")}
     known = log.truth is not None and positions <= set(log.truth_states)

@@ -21,6 +21,7 @@ def curves_figure(
     *,
     log: bool = False,
     emphasised: Sequence[str] = (),
+    markers: bool = True,
 ) -> Figure:
     """One panel per entry: x values, and a curve per label.
 
@@ -29,12 +30,14 @@ def curves_figure(
         log: logarithmic y axis.
         emphasised: labels drawn thick; labels with "tuned", "clairvoyant" or "published" in
             them get the colours that these have in every figure, others greys and hues.
+        markers: at every point.
     """
     figure, axes = axes_grid(1, len(panels), width=5.6, height=4.2)
     for ax, (title, (x, curves)) in zip(axes, panels.items(), strict=True):
         spare = iter(_spare_colours())
         for i, (label, y) in enumerate(curves.items()):
-            style: dict[str, Any] = {"marker": _MARKERS[i % len(_MARKERS)], "ms": 4, "lw": 1.1}
+            marker = _MARKERS[i % len(_MARKERS)] if markers else ""
+            style: dict[str, Any] = {"marker": marker, "ms": 4, "lw": 1.1}
             if label in emphasised:
                 style |= {"lw": 2.4, "ms": 5.5}
             ax.plot(x, y, label=label, color=_colour(label, emphasised) or next(spare), **style)

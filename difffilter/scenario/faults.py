@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Generator, Tensor
 
 from difffilter.scenario.distribution import Distribution, read_distribution
+from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import Table
 
 __all__ = ["Fault", "read_fault"]
@@ -87,8 +88,10 @@ class Fault:
         return torch.stack(inside).any(0)
 
 
-def read_fault(name: str, table: Table, channels: Sequence[str]) -> Fault:
+def read_fault(name: str, table: Table, sensors: Iterable[SensorSpec]) -> Fault:
     """Read ``[faults.NAME]``."""
+    owners = {channel: sensor for sensor in sensors for channel in sensor.model.channels}
+    channels = tuple(owners)
     kind = table.text("kind", choices=KINDS)
     patterns = table.names("channels", ("*",))
     for pattern in patterns:
@@ -102,7 +105,12 @@ def read_fault(name: str, table: Table, channels: Sequence[str]) -> Fault:
         if not whole or not 1 <= window[0] <= window[1]:
             table.fail("windows", "a list of [first, last] steps, from 1, first <= last")
     if kind == "offset":
-        size, scale = read_distribution(table, None), table.unit()
+        struck = [owners[c] for c in channels if any(fnmatch.fnmatchcase(c, p) for p in patterns)]
+        bases, levels = ({s.model.unit for s in struck}, {s.sigma for s in struck})
+        if len(bases) > 1:
+            table.fail("channels", "channels of lengths or of angles, not of both")
+        level = levels.pop() if len(levels) == 1 else None
+        size, scale = read_distribution(table, None), table.unit(bases.pop(), level)
         scale *= table.number("scale", 1.0)
     else:
         size, scale = Distribution("constant", (0.0,), (0.0,)), 1.0

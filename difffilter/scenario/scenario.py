@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from difffilter.errors import InputError
+from difffilter.metrics import SCORES, Score
 from difffilter.parameters import Parameter
 from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
 from difffilter.scenario.faults import Fault, read_fault
@@ -29,6 +31,8 @@ from difffilter.tune.settings import TuneSettings
 
 __all__ = ["Scenario", "Scene", "StartSpec", "load_scenario"]
 
+STARTS = ("truth", "measurements", "bearings")
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -44,11 +48,13 @@ class StartSpec:
     """How trajectories start.
 
     Attributes:
-        kind: ``truth`` (simulation only: truth plus normal errors) or ``measurements``.
+        kind: ``truth`` (simulation only: truth plus normal errors), ``measurements``, or
+            ``bearings`` (the first ones crossed).
         position_sigma, velocity_sigma: standard deviation of those errors, m and m/s.
         rows: rows that a start from measurements reads.
         unknown_velocity: m/s, standard deviation of the velocity in a start from
             measurements; None for the filter's own ``start.sigma``.
+        velocity: m/s, of the target, where it is known (``bearings``).
     """
 
     kind: str
@@ -56,6 +62,7 @@ class StartSpec:
     velocity_sigma: float
     rows: int
     unknown_velocity: float | None
+    velocity: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -75,7 +82,8 @@ class Scenario:
     Attributes:
         document: the file's contents with inheritance and overrides applied.
         world: None for a scenario of recorded logs.
-        score: ``all`` rows, or rows ``measured`` by at least one channel.
+        score: which rows count.
+        inputs: columns of known inputs in logs, the sensors' platform among them.
         runs: overrides for recorded runs, by the log file's stem.
     """
 
@@ -95,7 +103,7 @@ class Scenario:
     systems: Mapping[str, SystemSpec]
     tuning: TuneSettings
     scenes: tuple[Scene, ...]
-    score: str
+    score: Score
     inputs: tuple[str, ...]
     runs: Mapping[str, Mapping[str, Any]]
     references: tuple[Reference, ...]
@@ -110,7 +118,12 @@ class Scenario:
         if name not in self.systems:
             raise InputError(f"system: found {name!r}, expected one of {', '.join(self.systems)}")
         return build_system(
-            self.systems[name], self.axes, self.motion, self.sensors, self.parameters
+            self.systems[name],
+            self.axes,
+            self.motion,
+            self.sensors,
+            self.parameters,
+            self.start.velocity,
         )
 
     @property
@@ -166,9 +179,13 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
     if len(set(channels)) != len(channels):
         top.fail("sensors", "no channel name twice")
     parts = top.table("faults", optional=True).children()
-    faults = {name: read_fault(name, part, channels) for name, part in parts}
+    faults = {name: read_fault(name, part, sensors.values()) for name, part in parts}
     if faults and world is None:
         top.fail("faults", "none in a scenario without [world]")
+    for name, sensor in sensors.items():
+        if world and sensor.platform and sensor.platform != world.platform_inputs:
+            known = ", ".join(world.platform_inputs) or "none without [world.platform]"
+            top.fail(f"sensors.{name}.platform", f"the inputs of [world.platform]: {known}")
     systems = {
         name: read_system(name, part, tuple(sensors))
         for name, part in top.table("systems").children()
@@ -186,14 +203,14 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
         world=world,
         sensors=sensors,
         faults=faults,
-        start=_read_start(top.table("start", optional=True), world is not None),
+        start=_read_start(top.table("start", optional=True), world is not None, axes),
         motion=read_motion(top.table("motion", optional=True)),
         parameters=read_parameters(top.table("parameters")),
         systems=systems,
         tuning=read_tuning(top.table("tuning", optional=True), tuple(systems)),
         scenes=tuple(_read_scene(part) for part in top.tables("scenes")),
-        score=top.text("score", "all", choices=("all", "measured")),
-        inputs=top.names("inputs", ()),
+        score=_read_score(top),
+        inputs=_inputs(top, sensors),
         runs={name: part.data for name, part in top.table("runs", optional=True).children()},
         references=tuple(_read_reference(part) for part in top.tables("references")),
     )
@@ -202,19 +219,35 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
     return scenario
 
 
-def _read_start(table: Table, simulated: bool) -> StartSpec:
-    kind = table.text(
-        "kind", "truth" if simulated else "measurements", choices=("truth", "measurements")
-    )
+def _read_score(top: Table) -> Score:
+    rows = top.text("score", "all", choices=SCORES)
+    first, last = top.numbers("score_times", 2, (-math.inf, math.inf))
+    if last < first:
+        top.fail("score_times", "[first, last] with first <= last")
+    return Score(rows, first, last)
+
+
+def _inputs(top: Table, sensors: Mapping[str, SensorSpec]) -> tuple[str, ...]:
+    platforms = [name for sensor in sensors.values() for name in sensor.platform]
+    return tuple(dict.fromkeys((*top.names("inputs", ()), *platforms)))
+
+
+def _read_start(table: Table, simulated: bool, axes: int) -> StartSpec:
+    kind = table.text("kind", "truth" if simulated else "measurements", choices=STARTS)
     if kind == "truth" and not simulated:
-        table.fail("kind", "'measurements' in a scenario without [world]")
+        table.fail("kind", "'measurements' or 'bearings' in a scenario without [world]")
     spec = StartSpec(
         kind,
         table.number("position_sigma", 0.0, low=0.0),
         table.number("velocity_sigma", 0.0, low=0.0),
         table.integer("rows", 10, low=1),
         table.number("unknown_velocity", None, above=0.0),
+        table.numbers("velocity", axes, None),
     )
+    if kind == "bearings" and spec.velocity is None:
+        table.fail("velocity", f"{axes} numbers beside kind = 'bearings'")
+    if kind == "bearings" and spec.rows < 2:
+        table.fail("rows", "2 or more beside kind = 'bearings'")
     table.finish()
     return spec
 

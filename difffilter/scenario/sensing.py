@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
 from difffilter.parameters import Number
 from difffilter.scenario.table import Table
-from difffilter.sensors import TDOA, Position, PositionSensor, Range
+from difffilter.sensors import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
 
 __all__ = ["KINDS", "SensorSpec", "read_sensor"]
 
-KINDS = ("tdoa", "range", "position")
+MODELS: dict[str, type[PositionSensor]] = {
+    "tdoa": TDOA,
+    "range": Range,
+    "bearing": Bearing,
+    "position": Position,
+}
+KINDS = tuple(MODELS)
 
 
 @dataclass(frozen=True)
@@ -28,7 +35,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class SensorSpec:
-    """One sensor: geometry and channels (``model``), and its noise in the world, in m.
+    """One sensor: geometry and channels (``model``), and its noise in the world, in m or rad.
 
     Attributes:
         model: with the world's sigma; a filter gets it through :meth:`for_filter`.
@@ -41,6 +48,11 @@ class SensorSpec:
     sigma: float
     common_sigma: float
     schedule: tuple[Schedule, ...]
+
+    @property
+    def platform(self) -> tuple[str, ...]:
+        """Names of the inputs with the position of its platform."""
+        return self.model.platform if isinstance(self.model, StationSensor) else ()
 
     def for_filter(self, sigma: Number | None, bias: Number | None, common: bool) -> PositionSensor:
         """The model that a filter uses: published sigma and bias where given."""
@@ -69,7 +81,7 @@ def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
     """Read ``[sensors.NAME]``."""
     kind = table.text("kind", choices=KINDS)
     noise = table.table("noise", optional=True)
-    unit = noise.unit()
+    unit = noise.unit(MODELS[kind].unit)
     sigma = unit * noise.number("sigma", 1.0 / unit, above=0.0)
     common = unit * noise.number("common_sigma", 0.0, low=0.0) if kind == "tdoa" else 0.0
     schedule = []
@@ -85,29 +97,37 @@ def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
             part.fail("last", f"a step of first = {schedule[-1].first} or later")
         part.finish()
     noise.finish()
-    channels = table.names("channels", ())
-    model: PositionSensor
-    if kind == "position":
-        if channels and len(channels) != axes:
-            table.fail("channels", f"{axes} names")
-        model = Position(name=name, axes=axes, channels=channels, sigma=sigma)
+    about: dict[str, Any] = {
+        "name": name,
+        "axes": axes,
+        "sigma": sigma,
+        "channels": table.names("channels", ()),
+    }
+    about |= {} if kind == "position" else _read_stations(table, kind, axes)
+    expected = axes if kind == "position" else len(about["stations"]) - (kind == "tdoa")
+    if about["channels"] and len(about["channels"]) != expected:
+        table.fail("channels", f"{expected} names")
+    table.finish()
+    return SensorSpec(MODELS[kind](**about), sigma, common, tuple(schedule))
+
+
+def _read_stations(table: Table, kind: str, axes: int) -> dict[str, Any]:
+    """Where the stations are, and the platform that they may ride."""
+    if kind == "bearing" and axes != 2:
+        table.fail("kind", "no bearing in a scenario without two axes")
+    if kind == "bearing" and "stations" not in table:
+        stations: tuple[tuple[float, ...], ...] = ((0.0,) * axes,)
+        table.take("stations", "", None)
     else:
         stations = table.points("stations")
-        if len(stations[0]) not in (axes, axes + 1):
-            table.fail("stations", f"points of {axes}, or with heights {axes + 1}, numbers")
-        if kind == "tdoa" and len(stations) < 3:
-            table.fail("stations", "three or more stations, the reference first")
-        height = table.number("height", 0.0)
-        build = TDOA if kind == "tdoa" else Range
-        if channels and len(channels) != len(stations) - (kind == "tdoa"):
-            table.fail("channels", f"{len(stations) - (kind == 'tdoa')} names")
-        model = build(
-            name=name,
-            axes=axes,
-            channels=channels,
-            sigma=sigma,
-            stations=stations,
-            height=height,
-        )
-    table.finish()
-    return SensorSpec(model, sigma, common, tuple(schedule))
+    heights = kind != "bearing"
+    if len(stations[0]) != axes and not (heights and len(stations[0]) == axes + 1):
+        with_heights = f", or with heights {axes + 1}," if heights else ""
+        table.fail("stations", f"points of {axes}{with_heights} numbers")
+    if kind == "tdoa" and len(stations) < 3:
+        table.fail("stations", "three or more stations, the reference first")
+    platform = table.names("platform", ())
+    if platform and len(platform) != len(stations[0]):
+        table.fail("platform", f"{len(stations[0])} names of inputs, one per coordinate")
+    height = {"height": table.number("height", 0.0)} if heights else {}
+    return {"stations": stations, "platform": platform, **height}

@@ -6,14 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from difffilter.baselines.adaptive import InnovationScaling
+from difffilter.baselines.bearing_lines import BearingLeastSquares
 from difffilter.baselines.chan import ChanLeastSquares
 from difffilter.baselines.chan_ekf import ChanEKF
 from difffilter.baselines.least_squares import TaylorLeastSquares
 from difffilter.errors import InputError
 from difffilter.filter import STANDARDISATIONS, Filter
 from difffilter.gate import ACTIONS, Gate
+from difffilter.groups import DISTANCES, SCOPES, Scope
 from difffilter.motion import NOISES, ConstantVelocity
-from difffilter.parameters import Number, Parameter
+from difffilter.parameters import Number, Parameter, as_number
+from difffilter.recovery import RECOVERIES, Recovery
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import UNITS, Table
 from difffilter.sensors import TDOA, PositionSensor
@@ -21,7 +24,7 @@ from difffilter.weights import WEIGHTS, weight_named
 
 __all__ = ["MotionSpec", "ParameterSpec", "System", "SystemSpec", "build_system", "read_system"]
 
-ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf")
+ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf", "bearing-ls", "bearing-wls")
 ADAPTATIONS = ("innovation-scaling",)
 #: Keys of a system that no baseline reads.
 FILTER_KEYS = (
@@ -30,13 +33,16 @@ FILTER_KEYS = (
     "iterations",
     "weigh_prior",
     "mad",
+    "scope",
+    "distance",
     "gate",
+    "recovery",
     "adaptation",
     "clairvoyant",
 )
 
 #: What a scenario calls a system: a recursive filter, or a baseline estimator.
-System = Filter | TaylorLeastSquares | ChanLeastSquares | ChanEKF
+System = Filter | TaylorLeastSquares | ChanLeastSquares | ChanEKF | BearingLeastSquares
 
 
 @dataclass(frozen=True)
@@ -87,11 +93,15 @@ class SystemSpec:
     iterations: int
     weigh_prior: bool
     mad: bool
+    scope: Scope
+    distance: str
     gate: str
+    recovery: str
     adaptation: str
     clairvoyant: bool
     common_noise: bool
     sensors: tuple[str, ...]
+    values: Mapping[str, Number]
     note: str
 
 
@@ -113,11 +123,15 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
         table.integer("iterations", 0),
         table.flag("weigh_prior"),
         table.flag("mad"),
+        _read_scope(table),
+        table.text("distance", "rms", choices=DISTANCES),
         table.text("gate", "none", choices=("none", *ACTIONS)),
+        table.text("recovery", "none", choices=("none", *RECOVERIES)),
         table.text("adaptation", "none", choices=("none", *ADAPTATIONS)),
         table.flag("clairvoyant"),
         table.flag("common_noise"),
         table.names("sensors", tuple(sensors)),
+        _read_values(table.table("values", optional=True)),
         table.text("note", ""),
     )
     if not spec.sensors or len(set(spec.sensors)) != len(spec.sensors):
@@ -132,6 +146,18 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
         table.fail("adaptation", "none together with common_noise and weigh_prior")
     table.finish()
     return spec
+
+
+def _read_scope(table: Table) -> Scope:
+    """``scope``: a word, or a table of groups of channels."""
+    if not isinstance(table.data.get("scope"), dict):
+        return table.text("scope", "channel", choices=SCOPES)
+    groups = table.table("scope")
+    return {name: groups.names(name) for name in groups.data}
+
+
+def _read_values(table: Table) -> dict[str, Number]:
+    return {name: as_number(table.nested(name)) for name in table.data}
 
 
 def read_parameters(table: Table) -> dict[str, ParameterSpec]:
@@ -168,8 +194,13 @@ def build_system(
     motion: MotionSpec,
     sensors: Mapping[str, SensorSpec],
     parameters: Mapping[str, ParameterSpec],
+    velocity: tuple[float, ...] | None = None,
 ) -> System:
-    """The filter or baseline of a system, with published values declared."""
+    """The filter or baseline of a system, with published values declared.
+
+    ``velocity`` is the target's, where the scenario's start knows it.
+    """
+    parameters = _own_values(spec, parameters)
 
     def value(name: str) -> Number | None:
         return parameters[name].value if name in parameters else None
@@ -193,12 +224,30 @@ def build_system(
         raise where("needs [parameters.motion.acceleration], found none")
     try:
         moving = ConstantVelocity(axes, motion.noise, 1.0 if acceleration is None else acceleration)
-        bare = _bare_system(spec, axes, moving, models, value("start.sigma"))
+        bare = _bare_system(spec, axes, moving, models, value("start.sigma"), velocity)
         own = bare.declarations
     except InputError as error:
         raise where(error) from None
+    for name in spec.values:
+        if name not in own:
+            raise where(f"values: found {name}, expected one of {', '.join(own)}")
     declared = {name: p.declare(own[name]) for name, p in parameters.items() if name in own}
     return replace(bare, overrides=declared)
+
+
+def _own_values(
+    spec: SystemSpec, parameters: Mapping[str, ParameterSpec]
+) -> Mapping[str, ParameterSpec]:
+    """The scenario's parameters with the system's own values in their place."""
+    where = f"{spec.where}.values"
+    blank = ParameterSpec(where, 0.0, "", "", tuned=False, prior=None)
+    own = {
+        name: replace(
+            parameters.get(name, blank), where=f"{where}.{name}", value=value, source=f"{spec.name}"
+        )
+        for name, value in spec.values.items()
+    }
+    return {**parameters, **own}
 
 
 def _bare_system(
@@ -207,8 +256,14 @@ def _bare_system(
     motion: ConstantVelocity,
     sensors: tuple[PositionSensor, ...],
     start_sigma: Number | None,
+    velocity: tuple[float, ...] | None,
 ) -> System:
     """The recipe alone."""
+    if spec.estimator in ("bearing-ls", "bearing-wls"):
+        if velocity is None:
+            raise InputError("estimator: found no velocity in [start], expected the target's")
+        weighted = spec.estimator == "bearing-wls"
+        return BearingLeastSquares(sensors, axes, velocity=velocity, weighted=weighted)
     if spec.estimator == "taylor-ls":
         return TaylorLeastSquares(sensors, axes)
     if spec.estimator == "chan-ls":
@@ -223,7 +278,10 @@ def _bare_system(
         iterations=spec.iterations,
         weigh_prior=spec.weigh_prior,
         mad=spec.mad,
+        scope=spec.scope,
+        distance=spec.distance,
         gate=None if spec.gate == "none" else Gate(spec.gate),
+        recovery=None if spec.recovery == "none" else Recovery(spec.recovery),
         adaptation=None if spec.adaptation == "none" else InnovationScaling(),
         clairvoyant=spec.clairvoyant,
         start_sigma=start_sigma,

@@ -10,20 +10,17 @@ from typing import Any, NoReturn
 
 from difffilter.errors import InputError
 
-__all__ = ["Table"]
+__all__ = ["MEASURES", "UNITS", "Table"]
 
 _REQUIRED = object()
 
-#: Factor to SI units, by the unit's name in a scenario file.
-UNITS = {
-    "m": 1.0,
-    "km": 1e3,
-    "cm": 1e-2,
-    "us": 299.792458,
-    "ns": 0.299792458,
-    "rad": 1.0,
-    "deg": math.pi / 180.0,
+#: Factor to the SI unit of a measurement, by that unit and by the name in a scenario file.
+MEASURES = {
+    "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "us": 299.792458, "ns": 0.299792458},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
 }
+#: Every unit with a factor.
+UNITS = {name: factor for names in MEASURES.values() for name, factor in names.items()}
 
 
 class Table:
@@ -163,9 +160,13 @@ class Table:
             self.fail(key, "a list of texts")
         return tuple(value)
 
-    def unit(self, default: str = "m") -> float:
-        """Factor of the table's ``unit`` to SI (ns and us mean light travel time, in m)."""
-        return UNITS[self.text("unit", default, choices=tuple(UNITS))]
+    def unit(self, base: str = "m", sigma: float | None = None) -> float:
+        """Factor of the table's ``unit`` to ``base``, m (ns and us: light travel time) or rad.
+
+        Where ``sigma`` is given, the unit may be ``sigma``: so many standard deviations.
+        """
+        units = MEASURES[base] | ({} if sigma is None else {"sigma": sigma})
+        return units[self.text("unit", base, choices=tuple(units))]
 
     def table(self, key: str, optional: bool = False) -> Table:
         """A sub-table; an empty one if optional and absent."""

@@ -12,7 +12,7 @@ from difffilter.motion import AXES
 from difffilter.scenario.distribution import Distribution, read_distribution
 from difffilter.scenario.table import Table
 
-__all__ = ["Jump", "Segment", "World", "read_world"]
+__all__ = ["Jump", "Platform", "Segment", "World", "read_world"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,18 @@ class Jump:
 
 
 @dataclass(frozen=True)
+class Platform:
+    """A moving platform that carries sensors; known: inputs ``platform_x``, ``platform_y``...
+
+    It moves like the target, without anything random.
+    """
+
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    segments: tuple[Segment, ...]
+
+
+@dataclass(frozen=True)
 class World:
     """Truth of a scenario, in SI units.
 
@@ -60,6 +72,7 @@ class World:
     disturbance: tuple[float, ...]
     segments: tuple[Segment, ...]
     jumps: tuple[Jump, ...]
+    platform: Platform | None = None
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -79,16 +92,9 @@ class World:
         state = state.expand(trajectories, 2 * n)
         path = [state]
         for k in range(1, self.steps + 1):
-            push = pushes[k - 1]
-            rate = 0.0
-            for segment in self.segments:
-                if segment.first < k <= segment.last:
-                    push = push + torch.tensor(segment.acceleration, dtype=torch.float64)
-                    rate += segment.turn_rate
-            position, velocity = state[:, :n], state[:, n:]
-            moved, turned = _turn(velocity, rate, dt)
-            position = position + moved + 0.5 * dt**2 * push
-            velocity = turned + dt * push
+            position, velocity = _move(
+                state[:, :n], state[:, n:], pushes[k - 1], self.segments, k, dt
+            )
             for jump in self.jumps:
                 if jump.step == k:
                     position = position + torch.tensor(jump.position, dtype=torch.float64)
@@ -96,6 +102,42 @@ class World:
             state = torch.cat([position, velocity], dim=-1) + noise[k - 1]
             path.append(state)
         return torch.stack(path)
+
+    @property
+    def platform_inputs(self) -> tuple[str, ...]:
+        """Names of the inputs with the platform's position; empty without one."""
+        return tuple(f"platform_{axis}" for axis in AXES[: self.axes]) if self.platform else ()
+
+    def platform_path(self) -> Tensor:
+        """Position of the platform at steps 1..steps: (steps, axes)."""
+        assert self.platform is not None
+        position = torch.tensor([self.platform.position], dtype=torch.float64)
+        velocity = torch.tensor([self.platform.velocity], dtype=torch.float64)
+        still, path = torch.zeros_like(position), []
+        for k in range(1, self.steps + 1):
+            position, velocity = _move(
+                position, velocity, still, self.platform.segments, k, self.dt
+            )
+            path.append(position[0])
+        return torch.stack(path)
+
+
+def _move(
+    position: Tensor,
+    velocity: Tensor,
+    push: Tensor,
+    segments: tuple[Segment, ...],
+    step: int,
+    dt: float,
+) -> tuple[Tensor, Tensor]:
+    """One step with the acceleration ``push`` and what the segments add."""
+    rate = 0.0
+    for segment in segments:
+        if segment.first < step <= segment.last:
+            push = push + torch.tensor(segment.acceleration, dtype=torch.float64)
+            rate += segment.turn_rate
+    moved, turned = _turn(velocity, rate, dt)
+    return position + moved + 0.5 * dt**2 * push, turned + dt * push
 
 
 def _turn(velocity: Tensor, rate: float, dt: float) -> tuple[Tensor, Tensor]:
@@ -123,21 +165,6 @@ def read_world(table: Table) -> World:
     else:
         acceleration = Distribution("constant", (0.0,), (0.0,))
     push.finish()
-    segments = []
-    for part in table.tables("segments"):
-        rate = part.number("turn_rate_deg", 0.0)
-        if rate and axes != 2:
-            part.fail("turn_rate_deg", "no turn in a world without two axes")
-        segment = Segment(
-            part.integer("first"),
-            part.integer("last"),
-            part.numbers("acceleration", axes, zeros),
-            math.radians(rate),
-        )
-        if segment.last <= segment.first:
-            part.fail("last", f"a step after first = {segment.first}")
-        segments.append(segment)
-        part.finish()
     jumps = []
     for part in table.tables("jumps"):
         jumps.append(
@@ -159,8 +186,41 @@ def read_world(table: Table) -> World:
         table.numbers("velocity", axes),
         acceleration,
         disturbance,
-        tuple(segments),
+        _read_segments(table, axes),
         tuple(jumps),
+        _read_platform(table, axes),
     )
     table.finish()
     return world
+
+
+def _read_segments(table: Table, axes: int) -> tuple[Segment, ...]:
+    segments = []
+    for part in table.tables("segments"):
+        rate = part.number("turn_rate_deg", 0.0)
+        if rate and axes != 2:
+            part.fail("turn_rate_deg", "no turn in a world without two axes")
+        segment = Segment(
+            part.integer("first"),
+            part.integer("last"),
+            part.numbers("acceleration", axes, (0.0,) * axes),
+            math.radians(rate),
+        )
+        if segment.last <= segment.first:
+            part.fail("last", f"a step after first = {segment.first}")
+        segments.append(segment)
+        part.finish()
+    return tuple(segments)
+
+
+def _read_platform(table: Table, axes: int) -> Platform | None:
+    if "platform" not in table:
+        return None
+    part = table.table("platform")
+    platform = Platform(
+        part.numbers("position", axes),
+        part.numbers("velocity", axes),
+        _read_segments(part, axes),
+    )
+    part.finish()
+    return platform

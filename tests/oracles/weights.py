@@ -53,6 +53,43 @@ def imq(s: Array, k: float = 2.0) -> Array:
     return 1.0 / (1.0 + (s / k) ** 2)
 
 
+def danish(s: Array, k: float = 2.0) -> Array:
+    """1 up to k, exp(1 - (s/k)^2) beyond."""
+    return np.where(np.abs(s) <= k, 1.0, np.exp(1.0 - np.maximum(np.abs(s) / k, 1.0) ** 2))
+
+
+def tukey(s: Array, k: float = 4.685) -> Array:
+    """(1 - (s/k)^2)^2 below k, 0 beyond."""
+    return np.where(np.abs(s) < k, (1.0 - (s / k) ** 2) ** 2, 0.0)
+
+
+def cauchy(s: Array, k: float = 2.385) -> Array:
+    """1 / (1 + (s/k)^2)."""
+    return 1.0 / (1.0 + (s / k) ** 2)
+
+
+def welsch(s: Array, k: float = 2.985) -> Array:
+    """exp(-(s/k)^2 / 2)."""
+    return np.exp(-((s / k) ** 2) / 2.0)
+
+
+def student_t(s: Array, nu: float = 4.0) -> Array:
+    """(nu + 1) / (nu + s^2), at most 1."""
+    return np.minimum((nu + 1.0) / (nu + s**2), 1.0)
+
+
+def barron(s: Array, alpha: float = 0.0, k: float = 1.686) -> Array:
+    """(s^2 / (k^2 |alpha - 2|) + 1)^(alpha/2 - 1) and its limits at alpha = 2, 0 and -inf."""
+    x = (s / k) ** 2
+    if alpha == 2.0:
+        return np.ones_like(x)
+    if alpha == 0.0:
+        return 2.0 / (x + 2.0)
+    if alpha == -np.inf:
+        return np.exp(-0.5 * x)
+    return np.exp((0.5 * alpha - 1.0) * np.log1p(x / abs(alpha - 2.0)))
+
+
 def chi_square_gate(s: Array, threshold: float = 7.879) -> Array:
     """1 where s^2 <= threshold (one degree of freedom), else 0."""
     return (s**2 <= threshold).astype(float)
