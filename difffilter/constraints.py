@@ -100,7 +100,7 @@ class Positive(Constraint):
         return bool((physical[self._kept(size)] > 0).all() and (physical[[*self.zero]] == 0).all())
 
     def _kept(self, size: int) -> Tensor:
-        return torch.tensor([i for i in range(size) if i not in self.zero])
+        return torch.tensor([i for i in range(size) if i not in self.zero], dtype=torch.long)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class Gate:
         source = f"chi-square at {self.significance:g}, 1 degree of freedom"
         if self.significance == 0.005:
             source = f"paper 1: {source}"
-        quantile = NormalDist().inv_cdf(1.0 - 0.5 * self.significance) ** 2
+        quantile = NormalDist().inv_cdf(0.5 * self.significance) ** 2
         return (Parameter("gate.threshold", quantile, Positive(), "1", source, meaning=meaning),)
 
     def prepare(self, values: Values, most: int = 1) -> dict[str, Tensor]:

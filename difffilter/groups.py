@@ -83,12 +83,14 @@ def normalised_square(
     Args:
         residual: e (..., m); observed: Z (..., m, k); noise: r (..., m); present (..., m).
     """
+    if not observed.shape[-1]:
+        observed = torch.nn.functional.pad(observed, (0, 1))
     own, k = [*group], observed.shape[-1]
     here = present[..., own]
     rows = torch.eye(k, dtype=observed.dtype, device=observed.device)
     rows = rows.expand(*residual.shape[:-1], k, k)
     e = torch.where(here, residual[..., own], 0.0)
-    r = noise[..., own]
+    r = torch.where(here, noise[..., own], 1.0)  # a full R has r = 0: keep 0 / 0 away
     done = condition(rows, observed[..., own, :], e, here.to(e.dtype), r)
     independent = (r > 0.0) & here
     left = torch.where(independent, done.residual, 0.0).square()

@@ -118,7 +118,11 @@ def run(
             f"start: found mean of shape {list(start.mean.shape)}, "
             f"expected {len(filter.states)} numbers ({', '.join(filter.states)})"
         )
-    current = start if isinstance(start, Belief) else start_belief(filter, constants, start)
+    if isinstance(start, Belief):
+        fresh = filter.start(start.mean, start.deviations)
+        current = fresh._replace(memory={**fresh.memory, **start.memory})
+    else:
+        current = start_belief(filter, constants, start)
     current = _fit(current, log, filter.states)
     intervals = log.intervals(at)
     rows = log.z.movedim(-1, 1).contiguous().movedim(1, -1)  # trajectories last in memory

@@ -40,7 +40,8 @@ def step(
     if filter.adaptation is not None:
         linear, memory = filter.adaptation.before_condition(memory, linear, present, constants)
     if filter.recovery is not None:
-        linear, widening = _recover(filter.recovery, belief.memory[STREAK], linear, constants)
+        streak = torch.where(present.any(-1), belief.memory[STREAK], 0.0)
+        linear, widening = _recover(filter.recovery, streak, linear, constants)
     weigh = reweigh if filter.iterations else weigh_once
     conditioned, record = weigh(filter, constants, linear, present, widening)
     if filter.adaptation is not None:

@@ -50,7 +50,9 @@ def _number(name: str, value: float, source: str, meaning: str) -> Parameter:
 
 plain = Weight("plain", _plain)
 cauchy = Weight("cauchy", _cauchy, (clipping_point("cauchy.k", 2.385, "95 % efficiency"),))
-welsch = Weight("welsch", _welsch, (clipping_point("welsch.k", 2.985, "95 % efficiency"),))
+welsch = Weight(
+    "welsch", _welsch, (clipping_point("welsch.k", 2.985, "customary for exp(-(s/k)^2)"),)
+)
 imq = Weight("imq", _imq, (clipping_point("imq.k", 3.0, "WoLF"),))
 student_t = Weight(
     "student-t",
