@@ -16,26 +16,43 @@ from difffilter.filter import Filter
 from difffilter.gate import Gate
 from difffilter.log import Log, Start, stack_logs
 from difffilter.logfile import read_log, write_log
-from difffilter.metrics import nees, rejected, rmse
+from difffilter.metrics import Score, nees, rejected, rmse
 from difffilter.motion import ConstantVelocity, FunctionMotion
 from difffilter.parameters import Parameter, ParameterSet
 from difffilter.recorded import load_logs
+from difffilter.recovery import Recovery
 from difffilter.run import Track, run
 from difffilter.scenario.document import scenario_names
 from difffilter.scenario.scenario import Scenario, load_scenario
 from difffilter.sensor import FunctionSensor, wrap
-from difffilter.sensors import TDOA, Position, PositionSensor, Range
+from difffilter.sensors import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
 from difffilter.simulate import simulate
 from difffilter.start import from_measurements
 from difffilter.step import step
 from difffilter.tracker import Tracker
+from difffilter.triangulate import from_bearings
 from difffilter.tune.loop import TuneResult, tune
 from difffilter.tune.settings import TuneSettings
-from difffilter.weights import WEIGHTS, Weight, huber, igg3, imq, plain, tanh
+from difffilter.weights import (
+    WEIGHTS,
+    Weight,
+    barron,
+    cauchy,
+    danish,
+    huber,
+    igg3,
+    imq,
+    plain,
+    student_t,
+    tanh,
+    tukey,
+    welsch,
+)
 
 __all__ = [
     "TDOA",
     "WEIGHTS",
+    "Bearing",
     "Belief",
     "Checkpoint",
     "CheckpointError",
@@ -57,17 +74,24 @@ __all__ = [
     "PositionSensor",
     "Range",
     "Record",
+    "Recovery",
     "Scenario",
+    "Score",
     "Start",
+    "StationSensor",
     "Track",
     "Tracker",
     "TuneResult",
     "TuneSettings",
     "Weight",
+    "barron",
     "belief",
+    "cauchy",
     "compare",
     "condition",
+    "danish",
     "estimate",
+    "from_bearings",
     "from_measurements",
     "huber",
     "igg3",
@@ -87,8 +111,11 @@ __all__ = [
     "stack_logs",
     "started",
     "step",
+    "student_t",
     "tanh",
+    "tukey",
     "tune",
+    "welsch",
     "wrap",
     "write_log",
 ]

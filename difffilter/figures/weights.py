@@ -39,7 +39,12 @@ def weights_figure(largest: float = 7.0) -> Figure:
         for i, name in enumerate(names):
             weight = WEIGHTS[name]
             w = weight(s, weight.prepare({p.name: p.tensor() for p in weight.parameters}))
-            style: dict[str, Any] = {"color": _COLOURS[i % 6], "ls": _STYLES[i % 6], "lw": 1.6, "label": name}
+            style: dict[str, Any] = {
+                "color": _COLOURS[i % 6],
+                "ls": _STYLES[i % 6],
+                "lw": 1.6,
+                "label": name,
+            }
             above.plot(s, w, **style)
             below.plot(s, s * w, **style)
         above.set(title=title, ylabel="weight w(s)", ylim=(-0.03, 1.05))
