@@ -58,7 +58,9 @@ class Record(NamedTuple):
         weight: (..., m), final weight; 0 where missing.
         prior_weight: (..., n), weight of the prediction's own residuals.
         gate: (..., m), 1 passed, 0 failed (between, when soft).
-        present: (..., m), whether the channel was measured.
+        present: (..., m), whether the channel was measured (and its sensor not isolated).
+        isolated: (..., m), whether a federated filter left the channel's sensor out because
+            something of it was not finite.
     """
 
     innovation: Tensor
@@ -69,6 +71,7 @@ class Record(NamedTuple):
     prior_weight: Tensor
     gate: Tensor
     present: Tensor
+    isolated: Tensor
 
     @property
     def innovation_variance(self) -> Tensor:

@@ -13,6 +13,7 @@ from difffilter.linalg import semidefinite_cholesky
 __all__ = [
     "Above",
     "Below",
+    "Bounded",
     "Constraint",
     "Covariance",
     "Interval",
@@ -159,6 +160,34 @@ class Interval(Constraint):
 
     def _admits(self, physical: Tensor) -> bool:
         return bool(((physical > self.low) & (physical < self.high)).all())
+
+
+@dataclass(frozen=True)
+class Bounded(Constraint):
+    """Between two bounds, both admitted: a published 0 can be tuned, and tuned to 0.
+
+    The map clips; its gradient is that of the unclipped number, so that a value on a bound
+    can leave it again. ``scale`` is what the optimiser counts as one unit.
+    """
+
+    low: float = 0.0
+    high: float = math.inf
+    scale: float = 1.0
+
+    def physical(self, free: Tensor) -> Tensor:
+        value = self.scale * free
+        return value + (value.clamp(self.low, self.high) - value).detach()
+
+    def free(self, physical: Tensor) -> Tensor:
+        return physical / self.scale
+
+    def expected(self) -> str:
+        if self.high == math.inf:
+            return f"a number of {self.low:g} or more"
+        return f"a number from {self.low:g} to {self.high:g}"
+
+    def _admits(self, physical: Tensor) -> bool:
+        return bool(((physical >= self.low) & (physical <= self.high)).all())
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from difffilter.belief import Belief
 from difffilter.condition import Conditioned
 from difffilter.constraints import Interval, Positive
 from difffilter.errors import InputError
+from difffilter.federation import Federation
 from difffilter.gate import Gate
 from difffilter.groups import DISTANCES, Scope, channel_groups
 from difffilter.motion import Motion
@@ -71,7 +72,11 @@ class Adaptation(Protocol):
         """Start value of the memory, with the leading dimensions of ``mean``."""
 
     def before_predict(
-        self, memory: Mapping[str, Tensor], process: Tensor, constants: Values
+        self,
+        memory: Mapping[str, Tensor],
+        process: Tensor,
+        inputs: Mapping[str, Tensor],
+        constants: Values,
     ) -> Tensor:
         """Adapt the deviations (..., n, q) of the process noise."""
 
@@ -80,6 +85,7 @@ class Adaptation(Protocol):
         memory: Mapping[str, Tensor],
         linearised: Linearised,
         present: Tensor,
+        inputs: Mapping[str, Tensor],
         constants: Values,
     ) -> tuple[Linearised, Mapping[str, Tensor]]:
         """Adapt the linearised step; returns it with the new memory."""
@@ -89,10 +95,11 @@ class Adaptation(Protocol):
         memory: Mapping[str, Tensor],
         linearised: Linearised,
         conditioned: Conditioned,
+        weight: Tensor,
         present: Tensor,
         constants: Values,
     ) -> Mapping[str, Tensor]:
-        """New memory, from what the update did."""
+        """New memory, from what the update did with the final weights (..., m)."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,10 @@ class Filter:
             (not divided by the number of channels, as in WoLF).
         gate: chi-square gate on each group's nominal NIS, or None.
         recovery: from lock-out by gate or weights, or None.
+        federated: local filters, one for each sensor, fused and reset at every step
+            (see :mod:`difffilter.federation`); the same estimates, and a sensor that is not
+            finite is isolated.
+        shares: information shares of the local filters; equal if empty.
         adaptation: plug-in between predict and condition, or None.
         clairvoyant: told of every fault: the log's inputs ``fault.mean`` and
             ``fault.variance`` (..., m) are taken off the measurement and added to R; an
@@ -148,6 +159,8 @@ class Filter:
     distance: str = "rms"
     gate: Gate | None = None
     recovery: Recovery | None = None
+    federated: bool = False
+    shares: tuple[float, ...] = ()
     adaptation: Adaptation | None = None
     clairvoyant: bool = False
     start_sigma: Number | None = None
@@ -167,6 +180,9 @@ class Filter:
         if self.distance not in DISTANCES:
             expected = " or ".join(DISTANCES)
             raise InputError(f"distance: found {self.distance!r}, expected {expected}")
+        if self.shares and not self.federated:
+            raise InputError("shares: expected federated with them")
+        _ = self.federation  # checked when the filter is made
         inflating = self.recovery is not None and self.recovery.action == "inflate"
         if inflating and self.standardise == "noise" and not self.iterations:
             # A larger P moves no weight then: it would grow for ever.
@@ -191,6 +207,22 @@ class Filter:
     def channels(self) -> tuple[str, ...]:
         """Names of the channels, in the order of ``Measurement.z``."""
         return tuple(name for sensor in self.sensors for name in sensor.channels)
+
+    @cached_property
+    def federation(self) -> Federation | None:
+        """The local filters, one for each sensor."""
+        if not self.federated:
+            return None
+        count = len(self.sensors)
+        shares = self.shares or (1.0 / count,) * count
+        if len(shares) != count:
+            raise InputError(f"shares: found {len(shares)}, expected {count}, one for each sensor")
+        return Federation(tuple(shares))
+
+    @cached_property
+    def members(self) -> tuple[tuple[int, ...], ...]:
+        """Channels of each sensor."""
+        return channel_groups("sensor", self.channels, [len(s.channels) for s in self.sensors])
 
     @cached_property
     def grouped(self) -> tuple[tuple[int, ...], ...] | None:
@@ -277,7 +309,10 @@ class Filter:
         for sensor in self.sensors:
             if isinstance(sensor, StationSensor):
                 sensor.check_inputs(inputs)
-        for name in ("fault.mean", "fault.variance") if self.clairvoyant else ():
+        foretold = ["fault.mean", "fault.variance"] if self.clairvoyant else []
+        if getattr(self.adaptation, "ideal", False):
+            foretold += ["ideal.variance", "ideal.error", "ideal.process"]
+        for name in foretold:
             if name not in inputs:
                 raise InputError(
                     f"log: found no input {name}, expected what a clairvoyant filter is told"

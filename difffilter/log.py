@@ -13,6 +13,10 @@ from difffilter.errors import InputError
 __all__ = ["Log", "Start", "stack_logs"]
 
 
+#: Inputs with one entry per channel.
+PER_CHANNEL = ("fault.mean", "fault.variance", "ideal.error", "ideal.variance")
+
+
 @dataclass(frozen=True)
 class Start:
     """Where a filter starts.
@@ -143,7 +147,7 @@ class Log:
                 )
         at = [self.channels.index(name) for name in channels]
         per_channel = {
-            name: value[..., at] if name.startswith("fault.") else value
+            name: value[..., at] if name in PER_CHANNEL else value
             for name, value in self.inputs.items()
         }
         return replace(self, channels=tuple(channels), z=self.z[..., at], inputs=per_channel)

@@ -17,16 +17,22 @@ from difffilter.run import Track
 __all__ = ["LOSSES", "Loss", "LossContext", "total_loss"]
 
 
+#: A scene that gets worse costs eight times what its mean of four scenes gains.
+HINGE = 2.0
+
+
 @dataclass(frozen=True)
 class LossContext:
     """What a loss may need beside track and log.
 
     Attributes:
         score: which rows count, as for :func:`difffilter.metrics.scored_rows`.
+        scenes: first and last step of each scene, for ``scenes``.
         degrees: degrees of freedom of the Student density of ``likelihood``.
     """
 
     score: Score | str = "all"
+    scenes: tuple[tuple[int, int], ...] = ()
     degrees: float = 4.0
 
 
@@ -80,6 +86,26 @@ def _innovation_consistency(track: Track, log: Log, context: LossContext) -> Ten
     return _departure(record.nis.sum() / record.present.sum().clamp_min(1))
 
 
+def _scenes(track: Track, log: Log, context: LossContext) -> Tensor:
+    """Mean over scenes of log RMSE, and a hinge on each that is worse than published.
+
+    The published filter's squared errors on the same trajectories are the log's input
+    ``reference.squared`` (T, ...), which tuning puts there.
+    """
+    if not context.scenes or "reference.squared" not in log.inputs:
+        raise InputError("loss scenes: needs a scenario with [[scenes]], whole trajectories")
+    rows, squared = scored_rows(log, track, context.score), position_error(log, track)
+    logs, hinges = [], []
+    for first, last in context.scenes:
+        here = slice(first - 1, last)
+        count = rows[here].sum()
+        own = torch.where(rows[here], squared[here], 0.0).sum() / count
+        reference = torch.where(rows[here], log.inputs["reference.squared"][here], 0.0).sum()
+        logs.append(0.5 * own.log())
+        hinges.append((0.5 * (own * count / reference).log()).clamp_min(0.0))
+    return torch.stack(logs).mean() + HINGE * torch.stack(hinges).sum()
+
+
 def _departure(ratio: Tensor) -> Tensor:
     """sqrt(1 + log(ratio)^2) - 1: quadratic near 1, and far off no steeper than the error.
 
@@ -94,6 +120,7 @@ LOSSES: Mapping[str, Loss] = {
     "position": Loss(_position, True, "log of the mean squared position error"),
     "likelihood": Loss(_likelihood, False, "robust negative log-likelihood of innovations"),
     "consistency": Loss(_consistency, True, "departure of the mean NEES per state from 1"),
+    "scenes": Loss(_scenes, True, "mean log RMSE of the scenes, none worse than published"),
     "innovation-consistency": Loss(
         _innovation_consistency, False, "departure of the mean NIS per channel from 1"
     ),

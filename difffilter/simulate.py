@@ -28,8 +28,9 @@ def simulate(
     Returns:
         Log with z (T, B, m), truth (T, B, 2 axes), the prescribed start where the scenario
         starts from the truth, the platform's position (inputs ``platform_x``...) where there
-        is one, and what clairvoyant filters are told (inputs ``fault.mean`` and
-        ``fault.variance``).
+        is one, and what filters that are no filters to deploy are told: clairvoyant ones
+        ``fault.mean`` and ``fault.variance``, ideal ones the true error and noise variance
+        of each channel, ``ideal.error`` and ``ideal.variance``, and ``ideal.process``.
 
     Raises:
         InputError: a scenario of recorded logs, or trajectories below 1.
@@ -50,13 +51,11 @@ def simulate(
     if world.platform is not None:
         known = world.platform_path().unsqueeze(1).expand(-1, trajectories, -1)
         inputs = dict(zip(world.platform_inputs, known.unbind(-1), strict=True))
-    z = torch.cat(
-        [
-            sensor.measure(truth, stream(seed, purpose, "noise", name), inputs)
-            for name, sensor in scenario.sensors.items()
-        ],
-        dim=-1,
-    )
+    made = [
+        sensor.measure(truth, stream(seed, purpose, "noise", name), inputs)
+        for name, sensor in scenario.sensors.items()
+    ]
+    z, exact, noise = (torch.cat(parts, dim=-1) for parts in zip(*made, strict=True))
     mean, variance = torch.zeros_like(z), torch.zeros_like(z)
     # Dropouts last: what is missing stays missing.
     for name, fault in sorted(scenario.faults.items(), key=lambda item: item[1].kind == "dropout"):
@@ -69,7 +68,14 @@ def simulate(
         z=z,
         truth=truth,
         truth_states=world.states,
-        inputs=inputs | {"fault.mean": mean, "fault.variance": variance},
+        inputs=inputs
+        | {
+            "fault.mean": mean,
+            "fault.variance": variance,
+            "ideal.error": torch.nan_to_num(z - exact),
+            "ideal.variance": noise,
+            "ideal.process": world.process_levels().unsqueeze(-1).expand(-1, trajectories),
+        },
         start=_start(scenario, path[0], seed, purpose),
         names=tuple(f"{scenario.name}-{seed}-{i}" for i in range(trajectories)),
     )

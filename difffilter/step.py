@@ -11,6 +11,7 @@ from torch import Tensor
 
 from difffilter.belief import Belief, Measurement, Record
 from difffilter.filter import Filter, Linearised
+from difffilter.groups import spread
 from difffilter.linalg import compress, join
 from difffilter.parameters import Values
 from difffilter.recovery import STREAK, Recovery
@@ -36,19 +37,27 @@ def step(
     mean, deviations = predict(filter, constants, belief, measurement)
     present = ~torch.isnan(measurement.z)
     linear, present = _linearise(filter, constants, mean, deviations, measurement, present)
+    isolated = torch.zeros_like(present)
+    if filter.federated:
+        linear, present, isolated = _isolate(filter, linear, present)
     memory, widening = belief.memory, None
     if filter.adaptation is not None:
-        linear, memory = filter.adaptation.before_condition(memory, linear, present, constants)
+        linear, memory = filter.adaptation.before_condition(
+            memory, linear, present, measurement.inputs, constants
+        )
     if filter.recovery is not None:
         streak = torch.where(present.any(-1), belief.memory[STREAK], 0.0)
         linear, widening = _recover(filter.recovery, streak, linear, constants)
     weigh = reweigh if filter.iterations else weigh_once
     conditioned, record = weigh(filter, constants, linear, present, widening)
     if filter.adaptation is not None:
-        memory = filter.adaptation.after_condition(memory, linear, conditioned, present, constants)
+        memory = filter.adaptation.after_condition(
+            memory, linear, conditioned, record.weight, present, constants
+        )
     if filter.recovery is not None:
         streak = filter.recovery.count(belief.memory[STREAK], record.weight, present)
         memory = {**memory, STREAK: streak}
+    record = record._replace(isolated=isolated)
     n = mean.shape[-1]
     posterior = conditioned.deviations[..., :n, :]
     if posterior.shape[-1] > n:  # columns of common noise: static, by the recipe
@@ -65,7 +74,7 @@ def predict(
     moved = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
     process = motion.noise(dt, constants)
     if filter.adaptation is not None:
-        process = filter.adaptation.before_predict(belief.memory, process, constants)
+        process = filter.adaptation.before_predict(belief.memory, process, inputs, constants)
     return mean, compress(moved, process)
 
 
@@ -107,6 +116,22 @@ def _linearise(
         z_deviations = torch.cat([z_deviations, shared], dim=-1)
         deviations = torch.nn.functional.pad(deviations, (0, columns))
     return Linearised(mean, deviations, innovation, z_deviations, r, r_total, columns), present
+
+
+def _isolate(
+    filter: Filter, linear: Linearised, present: Tensor
+) -> tuple[Linearised, Tensor, Tensor]:
+    """Take out whole sensors with anything that is not finite; the record names them."""
+    finite = torch.isfinite(linear.innovation.square()) & torch.isfinite(linear.independent)
+    finite = finite & torch.isfinite(linear.observed).all(-1)
+    isolated = spread(filter.members, [~finite[..., [*own]].all(-1) for own in filter.members])
+    sound = linear._replace(
+        innovation=torch.where(isolated, 0.0, linear.innovation),
+        observed=torch.where(isolated.unsqueeze(-1), 0.0, linear.observed),
+        independent=torch.where(isolated, 1.0, linear.independent),
+        total=torch.where(isolated, 1.0, linear.total),
+    )
+    return sound, present & ~isolated, isolated
 
 
 def _recover(

@@ -33,7 +33,7 @@ def weigh_once(
     weight = filter.weight(s, constants, constants.get("temperature"))
     weight, gate = _gated(filter, constants, weight, linear, present, scales)
     weight = weight * present
-    conditioned = _condition(linear, linear.deviations, linear.observed, weight)
+    conditioned = _condition(filter, constants, linear, linear.deviations, linear.observed, weight)
     prior_weight = torch.ones_like(linear.mean)
     return conditioned, _record(linear, s, weight, prior_weight, gate, present)
 
@@ -60,7 +60,7 @@ def reweigh(
     scales = _scales(filter, linear, widening)
     # Until the weights are final only residuals count: rows that carry them stand for X.
     rows, split = _residual_rows(filter, linear)
-    conditioned = _condition(linear, rows, linear.observed, weight)
+    conditioned = _condition(filter, constants, linear, rows, linear.observed, weight)
     for i in range(filter.iterations):
         residual = conditioned.residual
         if linear.common:
@@ -81,7 +81,7 @@ def reweigh(
             ones = torch.ones_like(linear.deviations[..., 0, n:])
             columns = torch.cat([prior_weight.rsqrt(), ones], dim=-1).unsqueeze(-2)
             deviations, observed = rows * columns, observed * columns
-        conditioned = _condition(linear, deviations, observed, weight)
+        conditioned = _condition(filter, constants, linear, deviations, observed, weight)
     return conditioned, _record(linear, s, weight, prior_weight, gate, present)
 
 
@@ -105,12 +105,21 @@ def _residual_rows(filter: Filter, linear: Linearised) -> tuple[Tensor, int]:
 
 
 def _condition(
-    linear: Linearised, deviations: Tensor, observed: Tensor, weight: Tensor
+    filter: Filter,
+    constants: Values,
+    linear: Linearised,
+    deviations: Tensor,
+    observed: Tensor,
+    weight: Tensor,
 ) -> Conditioned:
     """Condition so that a weight means R_ii -> R_ii / w, also for the common part of R."""
     noise = linear.independent
     if linear.common:
         noise = noise + (1.0 - weight) * (linear.total - linear.independent)
+    if filter.federation is not None:
+        return filter.federation.condition(
+            deviations, observed, linear.innovation, weight, noise, filter.members
+        )
     return condition(deviations, observed, linear.innovation, weight, noise)
 
 
@@ -212,5 +221,13 @@ def _record(
     linear: Linearised, s: Tensor, weight: Tensor, prior: Tensor, gate: Tensor, present: Tensor
 ) -> Record:
     return Record(
-        linear.innovation, linear.observed, linear.independent, s, weight, prior, gate, present
+        linear.innovation,
+        linear.observed,
+        linear.independent,
+        s,
+        weight,
+        prior,
+        gate,
+        present,
+        torch.zeros_like(present),
     )

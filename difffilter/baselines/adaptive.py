@@ -88,12 +88,19 @@ class InnovationScaling:
             "adaptive.b": mean.new_ones(lead),
         }
 
-    def before_predict(self, memory: Memory, process: Tensor, constants: Values) -> Tensor:
+    def before_predict(
+        self, memory: Memory, process: Tensor, inputs: Memory, constants: Values
+    ) -> Tensor:
         """Deviations of the process noise (..., n, q) times sqrt(a)."""
         return process * memory["adaptive.a"].sqrt()[..., None, None]
 
     def before_condition(
-        self, memory: Memory, linearised: Linearised, present: Tensor, constants: Values
+        self,
+        memory: Memory,
+        linearised: Linearised,
+        present: Tensor,
+        inputs: Memory,
+        constants: Values,
     ) -> tuple[Linearised, Memory]:
         """R times b, in the independent variances and in the common columns.
 
@@ -120,6 +127,7 @@ class InnovationScaling:
         memory: Memory,
         linearised: Linearised,
         conditioned: Conditioned,
+        weight: Tensor,
         present: Tensor,
         constants: Values,
     ) -> Memory:

@@ -65,8 +65,14 @@ class SensorSpec:
             model = replace(model, common_sigma=self.common_sigma or self.sigma)
         return model
 
-    def measure(self, truth: Tensor, generator: Generator, inputs: Mapping[str, Tensor]) -> Tensor:
-        """Noisy measurements (T, B, m) of the truth (T, B, n); row 0 is step 1."""
+    def measure(
+        self, truth: Tensor, generator: Generator, inputs: Mapping[str, Tensor]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Measurements of the truth (T, B, n); row 0 is step 1.
+
+        Returns:
+            Noisy and exact ones, and the noise's variance, each (T, B, m).
+        """
         constants = self.model.prepare({p.name: p.tensor() for p in self.model.parameters})
         exact = self.model.predict(truth, inputs, constants)
         level = torch.full((truth.shape[0], 1, 1), self.sigma, dtype=torch.float64)
@@ -74,7 +80,8 @@ class SensorSpec:
             level[max(part.first, 1) - 1 : part.last] = part.sigma
         white = torch.randn(exact.shape, generator=generator, dtype=torch.float64)
         shared = torch.randn(exact[..., :1].shape, generator=generator, dtype=torch.float64)
-        return exact + level * white + self.common_sigma * shared
+        variance = (level.square() + self.common_sigma**2).expand_as(exact)
+        return exact + level * white + self.common_sigma * shared, exact, variance
 
 
 def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:

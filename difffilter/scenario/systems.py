@@ -10,10 +10,11 @@ from difffilter.baselines.bearing_lines import BearingLeastSquares
 from difffilter.baselines.chan import ChanLeastSquares
 from difffilter.baselines.chan_ekf import ChanEKF
 from difffilter.baselines.least_squares import TaylorLeastSquares
+from difffilter.credibility import Credibility
 from difffilter.errors import InputError
 from difffilter.filter import STANDARDISATIONS, Filter
 from difffilter.gate import ACTIONS, Gate
-from difffilter.groups import DISTANCES, SCOPES, Scope
+from difffilter.groups import DISTANCES, SCOPES, Scope, channel_groups
 from difffilter.motion import NOISES, ConstantVelocity
 from difffilter.parameters import Number, Parameter, as_number
 from difffilter.recovery import RECOVERIES, Recovery
@@ -25,7 +26,7 @@ from difffilter.weights import WEIGHTS, weight_named
 __all__ = ["MotionSpec", "ParameterSpec", "System", "SystemSpec", "build_system", "read_system"]
 
 ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf", "bearing-ls", "bearing-wls")
-ADAPTATIONS = ("innovation-scaling",)
+ADAPTATIONS = ("innovation-scaling", "credibility", "ideal-credibility")
 #: Keys of a system that no baseline reads.
 FILTER_KEYS = (
     "weight",
@@ -37,6 +38,8 @@ FILTER_KEYS = (
     "distance",
     "gate",
     "recovery",
+    "federated",
+    "shares",
     "adaptation",
     "clairvoyant",
 )
@@ -97,6 +100,8 @@ class SystemSpec:
     distance: str
     gate: str
     recovery: str
+    federated: bool
+    shares: tuple[float, ...]
     adaptation: str
     clairvoyant: bool
     common_noise: bool
@@ -127,6 +132,8 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
         table.text("distance", "rms", choices=DISTANCES),
         table.text("gate", "none", choices=("none", *ACTIONS)),
         table.text("recovery", "none", choices=("none", *RECOVERIES)),
+        table.flag("federated"),
+        table.numbers("shares", None, ()),
         table.text("adaptation", "none", choices=("none", *ADAPTATIONS)),
         table.flag("clairvoyant"),
         table.flag("common_noise"),
@@ -144,6 +151,12 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
             table.fail(key, f"no such key beside estimator = {spec.estimator!r}")
     if spec.adaptation != "none" and spec.common_noise and spec.weigh_prior:
         table.fail("adaptation", "none together with common_noise and weigh_prior")
+    if "credibility" in spec.adaptation and spec.common_noise:
+        table.fail("adaptation", "no credibility together with common_noise")
+    if "credibility" in spec.adaptation and len(spec.sensors) < 2:
+        table.fail("adaptation", "two sensors or more with credibility")
+    if spec.federated and len(spec.sensors) < 2:
+        table.fail("federated", "two sensors or more with it")
     table.finish()
     return spec
 
@@ -282,7 +295,22 @@ def _bare_system(
         distance=spec.distance,
         gate=None if spec.gate == "none" else Gate(spec.gate),
         recovery=None if spec.recovery == "none" else Recovery(spec.recovery),
-        adaptation=None if spec.adaptation == "none" else InnovationScaling(),
+        federated=spec.federated,
+        shares=spec.shares,
+        adaptation=_adaptation(spec.adaptation, sensors, axes),
         clairvoyant=spec.clairvoyant,
         start_sigma=start_sigma,
     )
+
+
+def _adaptation(
+    name: str, sensors: tuple[PositionSensor, ...], axes: int
+) -> InnovationScaling | Credibility | None:
+    if name == "none":
+        return None
+    if name == "innovation-scaling":
+        return InnovationScaling()
+    counts = [len(sensor.channels) for sensor in sensors]
+    channels = [c for sensor in sensors for c in sensor.channels]
+    systems = channel_groups("sensor", channels, counts)
+    return Credibility(systems, axes, ideal=name == "ideal-credibility")

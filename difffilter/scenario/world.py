@@ -73,6 +73,7 @@ class World:
     segments: tuple[Segment, ...]
     jumps: tuple[Jump, ...]
     platform: Platform | None = None
+    ideal_process: tuple[tuple[int, int, float], ...] = ()
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -107,6 +108,13 @@ class World:
     def platform_inputs(self) -> tuple[str, ...]:
         """Names of the inputs with the platform's position; empty without one."""
         return tuple(f"platform_{axis}" for axis in AXES[: self.axes]) if self.platform else ()
+
+    def process_levels(self) -> Tensor:
+        """(steps,), process noise that an ideal filter assumes; NaN where its own."""
+        levels = torch.full((self.steps,), math.nan, dtype=torch.float64)
+        for first, last, level in self.ideal_process:
+            levels[first - 1 : last] = level
+        return levels
 
     def platform_path(self) -> Tensor:
         """Position of the platform at steps 1..steps: (steps, axes)."""
@@ -189,6 +197,7 @@ def read_world(table: Table) -> World:
         _read_segments(table, axes),
         tuple(jumps),
         _read_platform(table, axes),
+        _read_ideal(table),
     )
     table.finish()
     return world
@@ -224,3 +233,14 @@ def _read_platform(table: Table, axes: int) -> Platform | None:
     )
     part.finish()
     return platform
+
+
+def _read_ideal(table: Table) -> tuple[tuple[int, int, float], ...]:
+    levels = []
+    for part in table.tables("ideal_process"):
+        first, last = part.integer("first", low=1), part.integer("last", low=1)
+        if last < first:
+            part.fail("last", f"a step of first = {first} or later")
+        levels.append((first, last, part.number("acceleration", above=0.0)))
+        part.finish()
+    return tuple(levels)
