@@ -22,6 +22,7 @@ def curves_figure(
     log: bool = False,
     emphasised: Sequence[str] = (),
     markers: bool = True,
+    zero: bool = True,
 ) -> Figure:
     """One panel per entry: x values, and a curve per label.
 
@@ -30,7 +31,7 @@ def curves_figure(
         log: logarithmic y axis.
         emphasised: labels drawn thick; labels with "tuned", "clairvoyant" or "published" in
             them get the colours that these have in every figure, others greys and hues.
-        markers: at every point.
+        markers: at every point; zero: whether a linear y axis begins at 0.
     """
     figure, axes = axes_grid(1, len(panels), width=5.6, height=4.2)
     for ax, (title, (x, curves)) in zip(axes, panels.items(), strict=True):
@@ -47,7 +48,7 @@ def curves_figure(
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_minor_formatter("{x:g}")
             ax.tick_params(axis="y", which="minor", labelsize=7)
-        else:
+        elif zero:
             ax.set_ylim(bottom=0.0)
         ax.legend(fontsize=7)
     return figure

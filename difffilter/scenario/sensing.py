@@ -42,12 +42,14 @@ class SensorSpec:
         sigma: standard deviation of the independent noise, in the world.
         common_sigma: of the noise that all channels share, in the world (TDOA only).
         schedule: other levels of ``sigma`` for stretches of the trajectory.
+        every: it measures at every so many-th step of the world.
     """
 
     model: PositionSensor
     sigma: float
     common_sigma: float
     schedule: tuple[Schedule, ...]
+    every: int = 1
 
     @property
     def platform(self) -> tuple[str, ...]:
@@ -81,7 +83,10 @@ class SensorSpec:
         white = torch.randn(exact.shape, generator=generator, dtype=torch.float64)
         shared = torch.randn(exact[..., :1].shape, generator=generator, dtype=torch.float64)
         variance = (level.square() + self.common_sigma**2).expand_as(exact)
-        return exact + level * white + self.common_sigma * shared, exact, variance
+        noisy = exact + level * white + self.common_sigma * shared
+        silent = torch.arange(1, len(truth) + 1) % self.every != 0
+        noisy = torch.where(silent[:, None, None], torch.nan, noisy)
+        return noisy, exact, variance
 
 
 def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
@@ -110,12 +115,13 @@ def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
         "sigma": sigma,
         "channels": table.names("channels", ()),
     }
+    every = table.integer("every", 1, low=1)
     about |= {} if kind == "position" else _read_stations(table, kind, axes)
     expected = axes if kind == "position" else len(about["stations"]) - (kind == "tdoa")
     if about["channels"] and len(about["channels"]) != expected:
         table.fail("channels", f"{expected} names")
     table.finish()
-    return SensorSpec(MODELS[kind](**about), sigma, common, tuple(schedule))
+    return SensorSpec(MODELS[kind](**about), sigma, common, tuple(schedule), every)
 
 
 def _read_stations(table: Table, kind: str, axes: int) -> dict[str, Any]:

@@ -43,8 +43,7 @@ class Descent:
         seed: int,
         log: Log | None,
     ) -> None:
-        # One filter gives the estimates of its federated form, in a third of the time.
-        filter = replace(filter, federated=False, shares=())
+        filter = filter.centralised
         self.scenario, self.filter, self.settings, self.seed = scenario, filter, settings, seed
         self.context = LossContext(
             scenario.score,
