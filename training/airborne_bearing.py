@@ -27,11 +27,17 @@ def main() -> None:
     options = arguments("airborne-bearing")
     quick, seed = options.quick, options.seed
     held_out = 30 if quick else 500
-    runs = 30 if quick else 2000
+    runs, blocks = (30, 1) if quick else (2000, 5)
     small: dict[str, Any] = {}
     if quick:
         small = {"trajectories": 16, "validation": 16, "test": 16, "batch": 16, "steps": 3}
-    settings = {"seed": seed, "held_out_trajectories": held_out, "runs": runs, "quick": quick}
+    settings = {
+        "seed": seed,
+        "held_out_trajectories": held_out,
+        "runs": runs,
+        "blocks": blocks,
+        "quick": quick,
+    }
     report = Report(options.out, "airborne-bearing: published against tuned", settings)
     stages = Stages(8, options.quiet)
     scenarios = {
@@ -55,8 +61,8 @@ def main() -> None:
     stages.next("reference curves, figures 2 to 4")
     report.heading("The published filters over time")
     found = {
-        "clean": curves(clean, runs, seed + 1),
-        "wild": curves(wild, runs, seed + 1, tuned["outliers"]),
+        "clean": curves(clean, runs, seed + 1, None, blocks),
+        "wild": curves(wild, runs, seed + 1, tuned["outliers"], blocks),
     }
     for name, key in (("airborne-bearing-clean", "clean"), ("airborne-bearing", "wild")):
         reference_table(report, name, found[key], runs, not quick)
