@@ -18,6 +18,8 @@ from common import QUICK, Stages, arguments, checkpoint_path, values_table
 import difffilter as df
 from difffilter.report import Report
 
+#: The multipath variant's drift, without multipath.
+QUIET = {"faults.multipath.probability": 0.0}
 #: Everything that specification 1 lists; the multipath variant tunes a bias as well.
 LISTED = {"parameters.bearing.bias.tuned": False}
 
@@ -99,6 +101,11 @@ def main() -> None:
         report.comparison(key, table)
         report.table(f"values, {key}", *values_table(tuned[key]))
         judge(report, key, table)
+    quiet = multipath.with_overrides(QUIET)
+    values = {"published": None, "tuned on multipath": tuned["multipath"],
+              "tuned ekf": tune(quiet, None, system="ekf")}  # fmt: skip
+    report.heading("What the values for multipath cost where there is none")
+    report.comparison("no multipath", df.compare(quiet, values, held_out, seed + 2))
     lock_out(report, lockout, held_out, seed + 3)
     stages.next(f"wrote {report.write()}")
 
