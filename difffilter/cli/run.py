@@ -103,9 +103,8 @@ def command(args: Namespace) -> int:
     if args.json:
         print_json({**result, **about, "out": args.out})
     else:
-        print(
-            f"{job.scenario.name}, {job.system}, values {job.label}: {_text(result, log.truth is not None)}"
-        )
+        told = _text(result, log.truth is not None)
+        print(f"{job.scenario.name}, {job.system}, values {job.label}: {told}")
         print(f"estimates written to {args.out}")
     return 0
 
