@@ -49,7 +49,7 @@ class Bearing(StationSensor):
         away = square > 0.0
         inverse = torch.where(away, 1.0 / torch.where(away, square, 1.0), 0.0)
         # atan2 has no gradient at (0, 0): see the target straight ahead there.
-        bearing = torch.atan2(y, torch.where(away, x, 1.0))
+        bearing = torch.atan2(torch.where(away, y, 0.0), torch.where(away, x, 1.0))
         gradient = torch.stack([-y * inverse, x * inverse], dim=1)
         return bearing.movedim(0, -1), gradient.movedim((0, 1), (-2, -1))
 

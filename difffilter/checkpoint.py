@@ -266,4 +266,6 @@ def _plain(value: Tensor) -> Any:
 
 def _listed(value: Any) -> Any:
     """Nested tuples to nested lists, as JSON has them."""
+    if isinstance(value, Mapping):
+        return {key: _listed(item) for key, item in value.items()}
     return [_listed(item) for item in value] if isinstance(value, tuple) else value

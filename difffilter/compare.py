@@ -16,8 +16,7 @@ from difffilter.estimate import estimate, started
 from difffilter.log import Log
 from difffilter.metrics import (
     bootstrap_interval,
-    nees,
-    nees_states,
+    mean_nees,
     nis_per_channel,
     paired_ratio,
     position_error,
@@ -205,7 +204,7 @@ def _tabulate(
                 median=_median_run(squared[key], common),
                 ratio=ratio,
                 ratio_ci95=(interval[0], interval[1]),
-                nees_per_state=float(nees(log, track)[common].mean() / nees_states(log, track)),
+                nees_per_state=float(mean_nees(log, track, common)),
                 nis_per_channel=nis if nis == nis else None,
                 estimated=float(rows[at].sum() / scorable),
                 per_scene={

@@ -187,7 +187,8 @@ class Filter:
         if inflating and self.standardise == "noise" and not self.iterations:
             # A larger P moves no weight then: it would grow for ever.
             raise InputError("recovery inflate: expected standardise innovation, or iterations")
-        if self.mad and self.grouped is not None:
+        grouped = self.grouped  # checked when the filter is made
+        if self.mad and grouped is not None:
             raise InputError("mad: expected scope channel with it")
         names = self.channels
         if len(set(names)) != len(names):

@@ -82,7 +82,7 @@ def write_log(path: str | Path, log: Log) -> None:
     for i, name in enumerate(log.channels):
         columns[name] = log.z[:, i].tolist()
     for name, value in log.inputs.items():
-        if value.dim() == 1:
+        if value.dim() == 1 and "." not in name:  # with a dot: of a sensor, or of a simulation
             columns[name] = value.tolist()
     if log.truth is not None:
         for i, name in enumerate(log.truth_states):

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from difffilter.errors import InputError
 from difffilter.log import Log
-from difffilter.metrics import Score, nees, nees_states, position_error, scored_rows
+from difffilter.metrics import Score, mean_nees, position_error, scored_rows
 from difffilter.run import Track
 
 __all__ = ["LOSSES", "Loss", "LossContext", "total_loss"]
@@ -73,9 +73,7 @@ def _likelihood(track: Track, log: Log, context: LossContext) -> Tensor:
 def _consistency(track: Track, log: Log, context: LossContext) -> Tensor:
     """Zero where errors are as large as claimed: the mean NEES per state is 1."""
     rows = scored_rows(log, track, context.score)
-    squared = torch.where(rows, nees(log, track), 0.0)
-    per_state = squared.sum() / rows.sum() / nees_states(log, track)
-    return _departure(per_state)
+    return _departure(mean_nees(log, track, rows))
 
 
 def _innovation_consistency(track: Track, log: Log, context: LossContext) -> Tensor:

@@ -18,6 +18,7 @@ __all__ = [
     "SCORES",
     "Score",
     "bootstrap_interval",
+    "mean_nees",
     "nees",
     "nis_per_channel",
     "paired_ratio",
@@ -82,7 +83,7 @@ def scored_rows(log: Log, track: Track, score: Score | str = "all") -> Tensor:
         raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
     chosen = Score(score) if isinstance(score, str) else score
     rows = torch.isfinite(log.truth).all(-1) & torch.isfinite(track.mean).all(-1)
-    time = log.time if log.time.dim() == rows.dim() else log.time.unsqueeze(-1)
+    time = log.time[(..., *[None] * (rows.dim() - log.time.dim()))]
     rows = rows & (time >= chosen.first) & (time <= chosen.last)
     return rows & log.measured if chosen.rows == "measured" else rows
 
@@ -101,9 +102,10 @@ def nees(log: Log, track: Track, per_position: bool = False) -> Tensor:
     Args:
         per_position: position states alone.
 
+    NaN where the covariance of these states is singular: the error has no such square there.
+
     Raises:
         InputError: no truth.
-        torch.linalg.LinAlgError: a covariance of these states is singular.
     """
     names = (
         _position_states(log, track)
@@ -117,11 +119,20 @@ def nees(log: Log, track: Track, per_position: bool = False) -> Tensor:
     known = torch.isfinite(covariance).all(-1).all(-1)[..., None, None]
     identity = torch.eye(len(names), dtype=covariance.dtype)
     covariance = torch.where(known, covariance, identity)
+    singular = torch.linalg.cholesky_ex(covariance.detach()).info != 0
+    regular = torch.where(singular[..., None, None], identity, covariance)
     white = torch.linalg.solve_triangular(
-        torch.linalg.cholesky(covariance), error.unsqueeze(-1), upper=False
+        torch.linalg.cholesky(regular), error.unsqueeze(-1), upper=False
     )
-    squared: Tensor = white.squeeze(-1).square().sum(-1)
-    return squared
+    return torch.where(singular, torch.nan, white.squeeze(-1).square().sum(-1))
+
+
+def mean_nees(log: Log, track: Track, rows: Tensor) -> Tensor:
+    """Mean NEES per state over ``rows`` (T, ...) with a regular covariance; 1 expected."""
+    squared = nees(log, track)
+    rows = rows & ~torch.isnan(squared)
+    total = torch.where(rows, squared, 0.0).sum()
+    return total / rows.sum() / nees_states(log, track)
 
 
 def nees_states(log: Log, track: Track, per_position: bool = False) -> int:

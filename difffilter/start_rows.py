@@ -31,10 +31,13 @@ def flatten(log: Log) -> Log:
     """The measurements with one dimension of trajectories: z (T, B, m), time (T, B)."""
     lead = log.z.shape[1:-1]
     size = lead.numel()
-    inputs = {
-        name: value.reshape(log.steps, size, *value.shape[1 + len(lead) :])
-        for name, value in log.inputs.items()
-    }
+
+    def each(value: Tensor) -> Tensor:
+        if value.dim() == 1:  # shared by all trajectories
+            value = value[(..., *[None] * len(lead))].expand(log.steps, *lead)
+        return value.reshape(log.steps, size, *value.shape[1 + len(lead) :])
+
+    inputs = {name: each(value) for name, value in log.inputs.items()}
     time = log.time.reshape(log.steps, -1).expand(-1, size)
     z = log.z.reshape(log.steps, size, -1)
     return Log(log.channels, time, z, inputs=inputs, names=log.names)

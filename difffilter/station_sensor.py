@@ -76,6 +76,7 @@ class StationSensor(PositionSensor):
         stations: Tensor = inputs[key] if key in inputs else constants[key]
         if not self.platform:
             return stations
+        self.check_inputs(inputs)
         platform = torch.stack([inputs[name] for name in self.platform], dim=-1)
         return stations + platform.unsqueeze(-2)
 

@@ -18,7 +18,8 @@ from difffilter.start_rows import flatten
 
 __all__ = ["Lines", "crossing", "from_bearings", "lines", "the_bearing"]
 
-#: Least determinant of the normal matrix, relative to its squared trace, at which lines cross.
+#: Least determinant of the normal matrix, relative to its squared trace, at which lines cross
+#: (or some roundings of the precision, if that is more).
 PARALLEL = 1e-10
 
 
@@ -72,7 +73,8 @@ def crossing(normal: Tensor, right: Tensor) -> Tensor:
     """
     a, b, d = normal[..., 0, 0], normal[..., 0, 1], normal[..., 1, 1]
     determinant = a * d - b.square()
-    crosses = determinant > PARALLEL * (a + d).square()
+    least = max(PARALLEL, 16 * torch.finfo(normal.dtype).eps)
+    crosses = determinant > least * (a + d).square()
     divisor = torch.where(crosses, determinant, torch.nan)
     first = d * right[..., 0] - b * right[..., 1]
     second = a * right[..., 1] - b * right[..., 0]

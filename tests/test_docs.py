@@ -20,7 +20,7 @@ import pytest
 from cli_helpers import process
 
 import difffilter
-from difffilter import baselines, checkpoint, gate, motion
+from difffilter import baselines, checkpoint, gate, groups, metrics, motion, recovery
 from difffilter.belief import Record
 from difffilter.compare import compare
 from difffilter.filter import STANDARDISATIONS
@@ -142,6 +142,14 @@ def test_parameter_recipes_load() -> None:
             for name, entry in group.items()
         }
         load_scenario(EXAMPLE, values).system("robust").prepare()
+
+
+def test_groups_of_a_system_load() -> None:
+    text = sections(DOCS / "scenario-files.md")["[systems.NAME]"]
+    for found in FENCE.finditer(text):
+        for name, changes in tomllib.loads(found[2])["systems"].items():
+            changed = load_scenario(EXAMPLE, {f"systems.{name}.{k}": v for k, v in changes.items()})
+            assert changed.system(name).grouped
 
 
 def test_the_example_loads_simulates_and_tunes() -> None:
@@ -307,10 +315,20 @@ def test_every_choice_is_documented() -> None:
     choices = (
         *sensing.KINDS, *faults.KINDS, *WEIGHTS, *LOSSES, *gate.ACTIONS, *motion.NOISES,
         *STANDARDISATIONS, *systems.ESTIMATORS, *systems.ADAPTATIONS, *table.UNITS,
-        "constant", "uniform", "normal", "truth", "measurements", "all", "measured",
+        *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *scenario.STARTS, *metrics.SCORES,
+        "constant", "uniform", "normal", "sigma",
     )  # fmt: skip
     for choice in choices:
         assert re.search(rf'`"?{re.escape(choice)}"?`', text), choice
+
+
+def test_every_weight_is_described_with_its_parameters() -> None:
+    functions = sections(DOCS / "weights.md")["The functions"]
+    for weight in WEIGHTS.values():
+        row = re.search(rf"^\| `{weight.name}` \|.*$", functions, re.MULTILINE)
+        assert row, weight.name
+        for parameter in weight.parameters:
+            assert f"`{parameter.name}` {parameter.tensor().tolist()}" in row[0], parameter.name
 
 
 def test_tuning_defaults_are_documented() -> None:
@@ -328,6 +346,7 @@ def test_every_parameter_and_its_default_is_documented() -> None:
     text = sections(DOCS / "scenario-files.md")["[parameters.COMPONENT.NAME]"]
     parameters = [p for weight in WEIGHTS.values() for p in weight.parameters]
     parameters += gate.Gate().parameters
+    parameters += recovery.Recovery().parameters
     parameters += baselines.adaptive.InnovationScaling().parameters
     for parameter in parameters:
         row = next((r for r in text.splitlines() if f"`{parameter.name}`" in r), "")

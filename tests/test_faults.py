@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import math
+import re
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+from difffilter.errors import InputError
 from difffilter.scenario.distribution import Distribution, read_distribution
 from difffilter.scenario.faults import Fault, read_fault
+from difffilter.scenario.sensing import SensorSpec, read_sensor
 from difffilter.scenario.table import Table
 from difffilter.seeds import stream
 
-CHANNELS = ("range_1", "range_2", "bearing")
+CHANNELS = ("range_1", "range_2", "height")
+SIGMA = 2.5
 STEPS, RUNS = 60, 400
 DISTRIBUTIONS: dict[str, dict[str, Any]] = {
     "constant": {"distribution": "constant", "value": 3.0},
@@ -26,11 +31,23 @@ DISTRIBUTIONS: dict[str, dict[str, Any]] = {
 }
 
 
+def sensor(name: str, **keys: Any) -> SensorSpec:
+    return read_sensor(name, Table(keys, "test", f"sensors.{name}"), 2)
+
+
+RANGES = sensor("range", kind="range", stations=[[0.0, 0.0], [9.0, 0.0]], noise={"sigma": SIGMA})
+HEIGHT = sensor("more", kind="range", stations=[[0.0, 5.0]], channels=["height"])
+BEARING = sensor("bearing", kind="bearing", noise={"sigma": 0.5, "unit": "deg"})
+
+
+def read(table: dict[str, Any], *sensors: SensorSpec) -> Fault:
+    return read_fault("f", Table(table, "test", "faults.f"), sensors)
+
+
 def fault(**keys: Any) -> Fault:
     size = {"distribution": "constant", "value": 5.0}
     needed = keys.get("kind", "offset") == "offset" and "distribution" not in keys
-    table = {"kind": "offset"} | (size if needed else {}) | keys
-    return read_fault("f", Table(table, "test", "faults.f"), CHANNELS)
+    return read({"kind": "offset"} | (size if needed else {}) | keys, RANGES, HEIGHT)
 
 
 def strike(made: Fault, seed: int = 1, z: float = 100.0) -> tuple[Tensor, Tensor, Tensor]:
@@ -63,7 +80,7 @@ def test_a_joint_fault_strikes_all_its_channels_with_one_offset() -> None:
 
 
 def test_only_the_named_channels_are_struck() -> None:
-    z, mean, variance = strike(fault(channels=["*_2", "bear?ng"]))
+    z, mean, variance = strike(fault(channels=["*_2", "hei?ht"]))
     assert (z[..., 0] == 100.0).all()
     assert (z[..., 1:] == 105.0).all()
     assert mean[0, 0].tolist() == [0.0, 5.0, 5.0]
@@ -156,3 +173,72 @@ def test_two_faults_add_up_in_what_they_do_and_tell() -> None:
     z, mean_2, _ = second.strike(z, CHANNELS, stream(2))
     assert torch.equal(z - 100.0, mean_1 + mean_2)
     assert (z[:, 0, 0] - 100.0).unique().tolist() == [-2.0, 0.0, 3.0, 5.0]
+
+
+OFFSET = {"kind": "offset", "distribution": "constant", "value": 3.0}
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("rad", 1.0), ("mrad", 1e-3), ("deg", math.pi / 180), ("sigma", None)]
+)
+def test_an_offset_of_a_bearing_is_an_angle_or_so_many_sigmas(
+    unit: str, factor: float | None
+) -> None:
+    made = read(OFFSET | {"unit": unit}, BEARING)
+    z, mean, variance = made.strike(torch.zeros(4, 2, 1).double(), ("bearing",), stream(1))
+    expected = 3.0 * (math.radians(0.5) if factor is None else factor)
+    assert float((z - expected).abs().max()) < 1e-15
+    assert torch.equal(mean, z)
+    assert not variance.any()
+
+
+def test_without_a_unit_an_offset_is_in_metres_or_radians() -> None:
+    assert read(OFFSET, BEARING).scale == read(OFFSET, RANGES).scale == 1.0
+
+
+def test_sigmas_are_those_of_the_channels_that_are_struck() -> None:
+    made = read(OFFSET | {"unit": "sigma", "scale": 2.0, "channels": ["range_*"]}, RANGES, BEARING)
+    assert made.scale == 2.0 * SIGMA
+    z, mean, _ = made.strike(torch.zeros(2, 1, 3).double(), (*CHANNELS[:2], "bearing"), stream(1))
+    assert z[0, 0].tolist() == mean[0, 0].tolist() == [6.0 * SIGMA, 6.0 * SIGMA, 0.0]
+    drawn = read(
+        {"kind": "offset", "distribution": "uniform", "low": 2.0, "high": 10.0, "unit": "sigma"},
+        BEARING,
+    )
+    _, mean, variance = drawn.strike(torch.zeros(1, 1, 1).double(), ("bearing",), stream(1))
+    assert float(mean) == pytest.approx(6.0 * math.radians(0.5))
+    assert float(variance) == pytest.approx(64.0 / 12.0 * math.radians(0.5) ** 2)
+
+
+def test_sensors_of_the_same_sigma_share_a_fault_in_sigmas() -> None:
+    twin = sensor("twin", kind="position", noise={"sigma": 250.0, "unit": "cm"})
+    assert read(OFFSET | {"unit": "sigma"}, RANGES, twin).scale == SIGMA
+
+
+#: What is added to the offset, the sensors, and what the message says.
+REFUSED = {
+    "metres on a bearing": ({"unit": "m"}, (BEARING,), "unit: found 'm', expected one of rad, mr"),
+    "degrees on a range": ({"unit": "deg"}, (RANGES,), "unit: found 'deg', expected one of m, km"),
+    "lengths and angles": ({}, (RANGES, BEARING), "channels: found nothing, expected channels of"),
+    "both by name": (
+        {"channels": ["range_1", "bearing"]}, (RANGES, BEARING),
+        "channels: found ['range_1', 'bearing'], expected channels of lengths or of angles",
+    ),
+    "sigmas that differ": (
+        {"unit": "sigma"}, (RANGES, HEIGHT), "unit: found 'sigma', expected one of m, km",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_unit_that_the_struck_channels_do_not_have_is_refused(name: str) -> None:
+    keys, sensors, message = REFUSED[name]
+    with pytest.raises(InputError, match=re.escape(f"test: faults.f.{message}")):
+        read(OFFSET | keys, *sensors)
+
+
+@pytest.mark.parametrize("kind", ["zero", "dropout"])
+def test_faults_without_a_size_may_strike_lengths_and_angles(kind: str) -> None:
+    made = read({"kind": kind}, RANGES, BEARING)
+    z, _, _ = made.strike(torch.ones(1, 1, 3).double(), (*CHANNELS[:2], "bearing"), stream(1))
+    assert not z.nan_to_num().any()

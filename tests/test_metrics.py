@@ -14,6 +14,7 @@ from difffilter.errors import InputError
 from difffilter.filter import Filter
 from difffilter.log import Log, stack_logs
 from difffilter.metrics import (
+    Score,
     bootstrap_interval,
     nees,
     nees_states,
@@ -233,3 +234,57 @@ def test_the_standard_deviation_of_a_track_is_that_of_its_covariance(
     assert track.named(("vy", "x")) == [3, 0]
     with pytest.raises(InputError, match="state: found 'z', expected one of x, y, vx, vy"):
         track.named(("z",))
+
+
+@pytest.mark.parametrize(
+    ("first", "last"), [(5, 9), (0, 0), (20, None), (None, 3), (24, 24), (None, None)]
+)
+@pytest.mark.parametrize("rows", ["all", "measured"])
+def test_a_score_counts_rows_between_its_times_both_included(
+    rows: str, first: int | None, last: int | None
+) -> None:
+    log = gaps(LOG)
+    low = -np.inf if first is None else float(LOG.time[first])
+    high = np.inf if last is None else float(LOG.time[last])
+    score = Score(rows, low, high)
+    time = array(LOG.time)
+    inside = ((time >= low) & (time <= high))[:, None] & known(log)
+    if rows == "measured":
+        inside = inside & array(log.measured)
+    assert inside.any()
+    assert np.array_equal(array(scored_rows(log, TRACK, score)), inside)
+    assert log.truth is not None
+    squared = ((array(TRACK.mean) - array(log.truth))[..., :2] ** 2).sum(-1)
+    expected = squared[inside].mean() ** 0.5
+    assert float(rmse(log, TRACK, score)) == pytest.approx(expected, rel=1e-14)
+
+
+def test_a_score_takes_each_trajectorys_own_times() -> None:
+    shift = 10.0 * torch.arange(4).double()
+    time = LOG.time.unsqueeze(-1) + shift
+    log, track = replace(LOG, time=time), replace(TRACK, time=time)
+    score = Score(first=float(time[3, 1]), last=float(time[9, 1]))
+    rows = scored_rows(log, track, score)
+    assert rows[:, 1].nonzero().flatten().tolist() == list(range(3, 10))
+    assert not rows[:, [0, 2, 3]].any()
+    one = replace(LOG, time=time[:, 1], z=LOG.z[:, 1], truth=LOG.truth[:, 1], start=None)  # type: ignore[index]
+    single = replace(track, time=one.time, mean=TRACK.mean[:, 1], deviations=TRACK.deviations[:, 1])
+    assert torch.equal(scored_rows(one, single, score), rows[:, 1])
+
+
+def test_a_score_with_no_row_inside_counts_nothing() -> None:
+    beyond = float(LOG.time[-1]) + 1.0
+    assert not scored_rows(LOG, TRACK, Score(first=beyond)).any()
+    assert scored_rows(LOG, TRACK, Score()).equal(scored_rows(LOG, TRACK))
+    assert scored_rows(LOG, TRACK, Score("measured")).equal(scored_rows(LOG, TRACK, "measured"))
+
+
+def test_a_row_that_does_not_count_may_have_a_singular_covariance() -> None:
+    """A start whose velocity is known exactly."""
+    assert LOG.truth is not None
+    truth, deviations = LOG.truth.clone(), TRACK.deviations.clone()
+    truth[0], deviations[0, :, 2:] = NAN, 0.0
+    log, track = replace(LOG, truth=truth), replace(TRACK, deviations=deviations)
+    found, expected = nees(log, track), nees(LOG, TRACK)
+    assert torch.isnan(found[0]).all()
+    assert_close(found[1:], expected[1:], 1e-12)

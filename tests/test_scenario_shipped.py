@@ -16,12 +16,19 @@ from difffilter.recorded import scenario_of_run
 from difffilter.scenario.document import apply_overrides, parse_override, read_document
 from difffilter.scenario.scenario import load_scenario
 
+BEARING_SYSTEMS = "ls weighted-ls ekf robust robust-noise gated clairvoyant"
 SYSTEMS = {
     "airport-mlat": "taylor-ls chan-ls ekf chan-ekf adaptive-ekf huber m-ekf m-ekf-all-rows "
     "m-ekf-mad clairvoyant",
     "airport-mlat-intermittent": "taylor-ls chan-ls ekf chan-ekf adaptive-ekf huber m-ekf "
     "m-ekf-all-rows m-ekf-mad clairvoyant",
     "uwb-ranges": "ekf robust",
+    "airborne-bearing": BEARING_SYSTEMS,
+    "airborne-bearing-absolute": BEARING_SYSTEMS,
+    "airborne-bearing-clean": BEARING_SYSTEMS,
+    "airborne-bearing-matched": BEARING_SYSTEMS,
+    "airborne-bearing-multipath": BEARING_SYSTEMS,
+    "gate-lockout": "ekf gated gated-widen gated-inflate clairvoyant",
 }
 NS = 0.299792458
 
@@ -38,6 +45,10 @@ def test_every_shipped_scenario_loads_and_every_system_builds(name: str) -> None
     assert isinstance(tuned, Filter)
     assert any(parameter.tuned for parameter in tuned.declarations.values())
     assert all(p.source for n, p in scenario.declarations().items() if n in scenario.parameters)
+
+
+def test_the_list_of_shipped_scenarios_is_complete() -> None:
+    assert sorted(SYSTEMS) == sorted(difffilter.scenario_names())
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -37,6 +37,28 @@ def test_the_airport_experiment_runs_and_leaves_reports_figures_and_checkpoints(
         assert df.load(tmp_path / f"{stem}.json").system == "m-ekf"
 
 
+def test_the_bearing_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("airborne_bearing.py", tmp_path)
+    for name in ("airborne-bearing", "airborne-bearing-clean"):
+        rows = report["tables"][f"curves, {name}"]
+        assert {row["system"] for row in rows} == {
+            "ls", "weighted-ls", "ekf", "robust", "robust-noise", "gated", "clairvoyant",
+        }  # fmt: skip
+        assert [row["from"] for row in rows].count("specification") == 4
+    assert {f"figure-{number}" for number in (2, 3, 4)} | {"lock-out"} <= {
+        figure["name"] for figure in report["figures"]
+    }
+    for figure in report["figures"]:
+        assert (tmp_path / f"{figure['name']}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{figure['name']}.svg").is_file()
+    for stem in ("airborne-bearing", "airborne-bearing-clean", "airborne-bearing-multipath"):
+        tuned = df.load(tmp_path / f"{stem}.json")
+        assert (tuned.system, tuned.scenario.name) == ("gated", stem)
+        assert tuned.values["start.sigma"][2:].tolist() == [0.0, 0.0]
+
+
 @pytest.mark.skipif(not UWB.is_dir(), reason="no UWB recordings in ../shared/data/uwb_ranges")
 def test_the_uwb_experiment_runs_all_four_rotations(tmp_path: Path) -> None:
     report = run_quick("uwb_ranges.py", tmp_path)

@@ -9,6 +9,7 @@ import pytest
 import torch
 from helpers import array, assert_close
 
+from difffilter.errors import InputError
 from difffilter.scenario.table import Table
 from difffilter.scenario.world import World, read_world
 from difffilter.seeds import stream
@@ -129,3 +130,54 @@ def test_a_turn_keeps_the_speed() -> None:
     speed = np.linalg.norm(found[:, 2:], axis=-1)
     assert_close(speed, np.full(151, 20000.0**0.5), 1e-12)
     assert torch.tensor(found).isfinite().all()
+
+
+def test_a_platform_moves_like_the_target_but_for_what_is_random() -> None:
+    segments = [
+        {"first": 30, "last": 60, "turn_rate_deg": 3.0},
+        {"first": 90, "last": 120, "acceleration": [1.0, -2.0]},
+    ]
+    push = {"distribution": "normal", "mean": 0.0, "sigma": 1.0}
+    kinematics = {"position": [-50.0, 20.0], "velocity": [150.0, -10.0], "segments": segments}
+    made = make(platform=kinematics, acceleration=push, disturbance=[1.0] * 4, dt=0.5)
+    alone = path(make(dt=0.5, **kinematics))[1:, 0, :2]
+    assert made.platform_path().shape == (150, 2)
+    assert_close(made.platform_path(), alone, 1e-13)
+
+
+def test_a_platform_leaves_the_target_as_it_was() -> None:
+    push = {"distribution": "normal", "mean": 0.0, "sigma": 1.0}
+    carrier = {"position": [0.0, 0.0], "velocity": [150.0, 0.0]}
+    with_one = path(make(platform=carrier, acceleration=push), runs=3)
+    assert np.array_equal(with_one, path(make(acceleration=push), runs=3))
+
+
+@pytest.mark.parametrize("axes", [1, 2, 3])
+def test_a_platforms_inputs_are_named_by_axis(axes: int) -> None:
+    numbers = {"position": [1.0] * axes, "velocity": [2.0] * axes}
+    made = make(axes=axes, steps=4, platform=dict(numbers), **numbers)
+    assert made.platform_inputs == ("platform_x", "platform_y", "platform_z")[:axes]
+    assert_close(made.platform_path()[-1], np.full(axes, 9.0), 1e-14)
+    assert make().platform_inputs == ()
+
+
+#: Keys of [world.platform], and what the message says.
+WRONG_PLATFORMS = {
+    "no position": ({"velocity": [1.0, 0.0]}, "position: found nothing, expected a list of 2 num"),
+    "no velocity": ({"position": [1.0, 0.0]}, "velocity: found nothing, expected a list of 2 num"),
+    "three numbers": ({"position": [1.0] * 3}, "position: found .*expected a list of 2 numbers"),
+    "an unknown key": (
+        {"position": [0.0] * 2, "velocity": [0.0] * 2, "jumps": []}, "jumps: unknown key",
+    ),
+    "a segment that ends": (
+        {"position": [0.0] * 2, "velocity": [0.0] * 2, "segments": [{"first": 5, "last": 5}]},
+        r"segments\[0\]\.last: found 5, expected a step after first = 5",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG_PLATFORMS)
+def test_what_is_wrong_in_a_platform_is_named(name: str) -> None:
+    keys, message = WRONG_PLATFORMS[name]
+    with pytest.raises(InputError, match=rf"^test: world\.platform\.{message}"):
+        make(platform=keys)

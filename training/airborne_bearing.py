@@ -18,6 +18,8 @@ from common import QUICK, Stages, arguments, checkpoint_path, values_table
 import difffilter as df
 from difffilter.report import Report
 
+#: The multipath variant's drift, without multipath.
+QUIET = {"faults.multipath.probability": 0.0}
 #: Everything that specification 1 lists; the multipath variant tunes a bias as well.
 LISTED = {"parameters.bearing.bias.tuned": False}
 
@@ -27,11 +29,17 @@ def main() -> None:
     options = arguments("airborne-bearing")
     quick, seed = options.quick, options.seed
     held_out = 30 if quick else 500
-    runs = 30 if quick else 2000
+    runs, blocks = (30, 1) if quick else (2000, 5)
     small: dict[str, Any] = {}
     if quick:
         small = {"trajectories": 16, "validation": 16, "test": 16, "batch": 16, "steps": 3}
-    settings = {"seed": seed, "held_out_trajectories": held_out, "runs": runs, "quick": quick}
+    settings = {
+        "seed": seed,
+        "held_out_trajectories": held_out,
+        "runs": runs,
+        "blocks": blocks,
+        "quick": quick,
+    }
     report = Report(options.out, "airborne-bearing: published against tuned", settings)
     stages = Stages(8, options.quiet)
     scenarios = {
@@ -55,8 +63,8 @@ def main() -> None:
     stages.next("reference curves, figures 2 to 4")
     report.heading("The published filters over time")
     found = {
-        "clean": curves(clean, runs, seed + 1),
-        "wild": curves(wild, runs, seed + 1, tuned["outliers"]),
+        "clean": curves(clean, runs, seed + 1, None, blocks),
+        "wild": curves(wild, runs, seed + 1, tuned["outliers"], blocks),
     }
     for name, key in (("airborne-bearing-clean", "clean"), ("airborne-bearing", "wild")):
         reference_table(report, name, found[key], runs, not quick)
@@ -93,6 +101,11 @@ def main() -> None:
         report.comparison(key, table)
         report.table(f"values, {key}", *values_table(tuned[key]))
         judge(report, key, table)
+    quiet = multipath.with_overrides(QUIET)
+    values = {"published": None, "tuned on multipath": tuned["multipath"],
+              "tuned ekf": tune(quiet, None, system="ekf")}  # fmt: skip
+    report.heading("What the values for multipath cost where there is none")
+    report.comparison("no multipath", df.compare(quiet, values, held_out, seed + 2))
     lock_out(report, lockout, held_out, seed + 3)
     stages.next(f"wrote {report.write()}")
 

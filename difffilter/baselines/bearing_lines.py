@@ -57,6 +57,8 @@ class BearingLeastSquares(Snapshot):
             InputError: other channels, a value that does not fit.
         """
         check_channels(log, self.channels)
+        if not log.steps:
+            raise InputError("log: found no row, expected one or more")
         sensor = the_bearing(self.sensors)
         constants = self.prepare(self.published(log.z.dtype) | dict(values or {}))
         flat = flatten(log)

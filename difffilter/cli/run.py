@@ -103,7 +103,8 @@ def command(args: Namespace) -> int:
     if args.json:
         print_json({**result, **about, "out": args.out})
     else:
-        print(f"{job.scenario.name}, {job.system}, values {job.label}: {_text(result)}")
+        told = _text(result, log.truth is not None)
+        print(f"{job.scenario.name}, {job.system}, values {job.label}: {told}")
         print(f"estimates written to {args.out}")
     return 0
 
@@ -161,10 +162,11 @@ def _plot(path: str, log: Log, track: Track, title: str) -> None:
     save_figure(track_figure(log, track, title=title), path)
 
 
-def _text(result: dict[str, Any]) -> str:
+def _text(result: dict[str, Any], truth: bool) -> str:
     parts = [f"{result['rows']} row{'s' * (result['rows'] != 1)}"]
     if result["rmse"] is None:
-        parts.append("no truth, so no RMSE")
+        missing = "no row with truth that counts" if truth else "no truth"
+        parts.append(f"{missing}, so no RMSE")
     else:
         parts.append(f"position RMSE {result['rmse']:.4g} m")
     shares = [f"{name} {100 * share:.1f} %" for name, share in result["rejected"].items()]

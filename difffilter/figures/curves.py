@@ -46,8 +46,11 @@ def curves_figure(
         if log:
             ax.set_yscale("log")
             ax.yaxis.set_major_formatter("{x:g}")
-            ax.yaxis.set_minor_formatter("{x:g}")
-            ax.tick_params(axis="y", which="minor", labelsize=7)
+            low, high = ax.get_ylim()
+            # Over less than two decades the major ticks alone would be too few.
+            if high < 100.0 * low:
+                ax.yaxis.set_minor_formatter("{x:g}")
+                ax.tick_params(axis="y", which="minor", labelsize=7)
         elif zero:
             ax.set_ylim(bottom=0.0)
         ax.legend(fontsize=7)

@@ -182,10 +182,7 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
     faults = {name: read_fault(name, part, sensors.values()) for name, part in parts}
     if faults and world is None:
         top.fail("faults", "none in a scenario without [world]")
-    for name, sensor in sensors.items():
-        if world and sensor.platform and sensor.platform != world.platform_inputs:
-            known = ", ".join(world.platform_inputs) or "none without [world.platform]"
-            top.fail(f"sensors.{name}.platform", f"the inputs of [world.platform]: {known}")
+    _check_platform(str(path), world, sensors)
     systems = {
         name: read_system(name, part, tuple(sensors))
         for name, part in top.table("systems").children()
@@ -225,6 +222,22 @@ def _read_score(top: Table) -> Score:
     if last < first:
         top.fail("score_times", "[first, last] with first <= last")
     return Score(rows, first, last)
+
+
+def _check_platform(where: str, world: World | None, sensors: Mapping[str, SensorSpec]) -> None:
+    """A sensor rides the world's platform, and no other."""
+    riding = {name: sensor.platform for name, sensor in sensors.items() if sensor.platform}
+    if world is None:
+        return
+    for name, platform in riding.items():
+        if platform != world.platform_inputs:
+            expected = ", ".join(world.platform_inputs) or "none without [world.platform]"
+            raise InputError(
+                f"{where}: sensors.{name}.platform: found {list(platform)}, "
+                f"expected the inputs of [world.platform]: {expected}"
+            )
+    if world.platform and not riding:
+        raise InputError(f"{where}: world.platform: found one, expected a sensor that rides it")
 
 
 def _inputs(top: Table, sensors: Mapping[str, SensorSpec]) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from difffilter.motion import NOISES, ConstantVelocity
 from difffilter.parameters import Number, Parameter, as_number
 from difffilter.recovery import RECOVERIES, Recovery
 from difffilter.scenario.sensing import SensorSpec
-from difffilter.scenario.table import UNITS, Table
+from difffilter.scenario.table import MEASURES, Table
 from difffilter.sensors import TDOA, PositionSensor
 from difffilter.weights import WEIGHTS, weight_named
 
@@ -180,9 +180,10 @@ def read_parameters(table: Table) -> dict[str, ParameterSpec]:
         for field, entry in group.children():
             unit = entry.text("unit", "")
             value = entry.nested("value")
-            if unit in UNITS:
-                value = _scaled(value, UNITS[unit])
-                unit = "rad" if unit in ("rad", "deg") else "m"
+            for base, factors in MEASURES.items():
+                if unit in factors:
+                    value, unit = _scaled(value, factors[unit]), base
+                    break
             specs[f"{component}.{field}"] = ParameterSpec(
                 f"{entry.where}: {entry.path}",
                 value,
