@@ -18,6 +18,7 @@ __all__ = [
     "SCORES",
     "Score",
     "bootstrap_interval",
+    "isolated",
     "mean_nees",
     "nees",
     "nis_per_channel",
@@ -158,6 +159,15 @@ def rejected(track: Track, below: float = 0.1) -> dict[str, float]:
     low = (track.record.weight.flatten(0, -2) < below) & present
     share = low.sum(0).double() / present.sum(0).clamp_min(1)
     return dict(zip(track.channels, share.tolist(), strict=True))
+
+
+def isolated(track: Track) -> dict[str, float]:
+    """Share of rows in which a channel's sensor was left out as not finite, where any was."""
+    if track.record is None:
+        return {}
+    share = track.record.isolated.flatten(0, -2).double().mean(0)
+    named = dict(zip(track.channels, share.tolist(), strict=True))
+    return {channel: value for channel, value in named.items() if value > 0.0}
 
 
 def bootstrap_indices(count: int, draws: int, seed: int) -> Tensor:

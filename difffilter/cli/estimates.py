@@ -10,7 +10,7 @@ from torch import Tensor
 
 from difffilter.files import write_atomically
 from difffilter.log import Log
-from difffilter.metrics import Score, rejected, rmse
+from difffilter.metrics import Score, isolated, rejected, rmse
 from difffilter.run import Track
 
 __all__ = ["columns", "summary", "write_estimates"]
@@ -61,4 +61,5 @@ def summary(log: Log, track: Track, score: Score | str) -> dict[str, Any]:
         "rows": log.steps,
         "rmse": error if math.isfinite(error) else None,
         "rejected": dict.fromkeys(track.channels, 0.0) | rejected(track),
+        **({"isolated": left_out} if (left_out := isolated(track)) else {}),
     }
