@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -32,9 +32,13 @@ from difffilter.sensor import Sensor
 from difffilter.station_sensor import StationSensor
 from difffilter.weights import Weight, plain
 
-__all__ = ["STANDARDISATIONS", "Adaptation", "Filter", "Linearised"]
+if TYPE_CHECKING:
+    from difffilter.fusion import Fusion
+
+__all__ = ["RULES", "STANDARDISATIONS", "Adaptation", "Filter", "Linearised"]
 
 STANDARDISATIONS = ("innovation", "noise")
+RULES = ("taylor", "cubature")
 
 
 class Linearised(NamedTuple):
@@ -47,6 +51,10 @@ class Linearised(NamedTuple):
         independent: (..., m) independent noise variance.
         total: (..., m) diagonal of R.
         common: how many of the last columns are noise common to channels.
+        moved: (..., n, j) moved deviations F X without process noise; process: (..., n, q).
+        transition: columns (..., n, j) -> F times them, F the motion's Jacobian.
+        dt: (...), s, of the prediction.
+        again: (mean, deviations (..., n, n)) -> the same measurement linearised there.
     """
 
     mean: Tensor
@@ -56,6 +64,16 @@ class Linearised(NamedTuple):
     independent: Tensor
     total: Tensor
     common: int = 0
+    moved: Tensor | None = None
+    process: Tensor | None = None
+    transition: Callable[[Tensor], Tensor] | None = None
+    dt: Tensor | None = None
+    again: Callable[[Tensor, Tensor], Linearised] | None = None
+
+    @property
+    def own(self) -> int:
+        """How many of the first columns are the state's: n, or 2n with cubature."""
+        return self.deviations.shape[-1] - self.common
 
 
 class Adaptation(Protocol):
@@ -108,6 +126,10 @@ class Filter:
 
     Attributes:
         motion, sensors: the models; channels are those of the sensors, in order.
+        fusion: distributed fusion of subsystems, one for each sensor, in place of all of
+            the above (see :mod:`difffilter.fusion`), or None.
+        linearise: ``taylor`` (first order, EKF) or ``cubature`` (SRCKF, see
+            :mod:`difffilter.cubature`), of motion and sensors.
         weight: weight function of the measurement rows.
         standardise: residuals divided by the ``innovation``'s or the ``noise``'s sigma;
             None for ``noise`` in the M-EKF and ``innovation`` otherwise.
@@ -163,6 +185,8 @@ class Filter:
     shares: tuple[float, ...] = ()
     adaptation: Adaptation | None = None
     clairvoyant: bool = False
+    fusion: Fusion | None = None
+    linearise: str = "taylor"
     start_sigma: Number | None = None
     overrides: Mapping[str, Parameter] = field(default_factory=dict)
 
@@ -177,6 +201,13 @@ class Filter:
             raise InputError(f"iterations: found {self.iterations}, expected 0 or more")
         if (self.weigh_prior or self.mad) and not self.iterations:
             raise InputError("weigh_prior and mad: expected iterations of 1 or more with them")
+        if self.fusion is not None:
+            self.fusion.check(self.sensors)
+            beside = (self.weight is not plain, self.iterations, self.gate, self.recovery)
+            if any(beside) or self.adaptation or self.federated or self.clairvoyant:
+                raise InputError("fusion: expected no weight, gate, recovery or adaptation with it")
+        if self.linearise not in RULES:
+            raise InputError(f"linearise: found {self.linearise!r}, expected {' or '.join(RULES)}")
         if self.distance not in DISTANCES:
             expected = " or ".join(DISTANCES)
             raise InputError(f"distance: found {self.distance!r}, expected {expected}")
@@ -226,6 +257,12 @@ class Filter:
         return replace(self, federated=False, shares=()) if self.federated else self
 
     @cached_property
+    def subsystems(self) -> tuple[Filter, ...]:
+        """One plain filter per sensor, of the same motion and linearisation, for fusion."""
+        bare = replace(self, fusion=None, overrides={}, start_sigma=None)
+        return tuple(replace(bare, sensors=(sensor,)) for sensor in self.sensors)
+
+    @cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
         """Channels of each sensor."""
         return channel_groups("sensor", self.channels, [len(s.channels) for s in self.sensors])
@@ -240,7 +277,8 @@ class Filter:
     @cached_property
     def _own(self) -> dict[str, Parameter]:
         parts = [
-            self.motion, *self.sensors, self.weight, self.gate, self.recovery, self.adaptation
+            self.motion, *self.sensors, self.weight, self.gate, self.recovery, self.adaptation,
+            self.fusion,
         ]  # fmt: skip
         own = [p for part in parts if part is not None for p in part.parameters]
         if self.weigh_prior:
@@ -329,4 +367,6 @@ class Filter:
         memory = self.adaptation.memory(mean, len(self.channels)) if self.adaptation else {}
         if self.recovery is not None:
             memory = memory | self.recovery.memory(mean)
+        if self.fusion is not None:
+            memory = memory | self.fusion.start(self, mean, deviations)
         return Belief(mean, deviations, memory)

@@ -12,6 +12,7 @@ from difffilter.errors import LogError
 from difffilter.log import Log, stack_logs
 from difffilter.logfile import read_log
 from difffilter.motion import ConstantVelocity
+from difffilter.scenario.pooling import pooled
 from difffilter.scenario.scenario import Scenario
 from difffilter.sensors import StationSensor
 
@@ -45,7 +46,7 @@ def load_logs(scenario: Scenario, paths: Sequence[str | Path], run: str | None =
 
 def _load(scenario: Scenario, path: Path, run: str | None) -> Log:
     own = scenario_of_run(scenario, run or path.stem)
-    log = read_log(path, own.channels, own.inputs)
+    log = _read(own, path)
     known = ConstantVelocity(own.axes).states
     for name in log.truth_states:
         if name not in known:
@@ -59,3 +60,21 @@ def _load(scenario: Scenario, path: Path, run: str | None) -> Log:
             stations = torch.tensor(sensor.model.stations, dtype=log.z.dtype)
             inputs[f"{sensor.model.name}.stations"] = stations.expand(log.steps, -1, -1)
     return replace(log, inputs=inputs)
+
+
+def _read(scenario: Scenario, path: Path) -> Log:
+    """The log with every channel; pooled ones are computed where they have no column."""
+    derived = [c for s in scenario.sensors.values() if s.pool for c in s.model.channels]
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            header = {name.strip() for name in file.readline().split(",")}
+    except (OSError, UnicodeDecodeError):
+        header = set()  # read_log says what is wrong
+    absent = [name for name in derived if name not in header]
+    log = read_log(path, [c for c in scenario.channels if c not in absent], scenario.inputs)
+    if not absent:
+        return log
+    z = torch.full((log.steps, len(scenario.channels)), torch.nan, dtype=log.z.dtype)
+    z[:, [scenario.channels.index(name) for name in log.channels]] = log.z
+    z, _ = pooled(scenario.sensors, scenario.channels, z)
+    return replace(log, channels=scenario.channels, z=z)

@@ -118,12 +118,11 @@ def run(
             f"start: found mean of shape {list(start.mean.shape)}, "
             f"expected {len(filter.states)} numbers ({', '.join(filter.states)})"
         )
+    given = start if isinstance(start, Belief) else start_belief(filter, constants, start)
+    fitted = _fit(given, log, filter.states)
+    current = filter.start(fitted.mean, fitted.deviations)
     if isinstance(start, Belief):
-        fresh = filter.start(start.mean, start.deviations)
-        current = fresh._replace(memory={**fresh.memory, **start.memory})
-    else:
-        current = start_belief(filter, constants, start)
-    current = _fit(current, log, filter.states)
+        current = current._replace(memory={**current.memory, **start.memory})
     intervals = log.intervals(at)
     rows = log.z.movedim(-1, 1).contiguous().movedim(1, -1)  # trajectories last in memory
     means, deviations, records = [], [], []

@@ -6,6 +6,7 @@ import torch
 
 from difffilter.errors import InputError
 from difffilter.log import Log, Start
+from difffilter.scenario.pooling import pooled
 from difffilter.scenario.scenario import Scenario
 from difffilter.seeds import stream
 
@@ -62,6 +63,8 @@ def simulate(
         generator = stream(seed, purpose, "fault", name)
         z, added_mean, added_variance = fault.strike(z, scenario.channels, generator)
         mean, variance = mean + added_mean, variance + added_variance
+    z, weights = pooled(scenario.sensors, scenario.channels, z)
+    mean, variance = mean @ weights.mT, variance @ weights.square().mT
     return Log(
         channels=scenario.channels,
         time=world.dt * torch.arange(1, world.steps + 1, dtype=torch.float64),

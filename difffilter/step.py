@@ -6,18 +6,23 @@ tensor's value. Branches are on the recipe alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from difffilter.belief import Belief, Measurement, Record
+from difffilter.cubature import moments, points
 from difffilter.filter import Filter, Linearised
 from difffilter.groups import spread
 from difffilter.linalg import compress, join
 from difffilter.parameters import Values
 from difffilter.recovery import STREAK, Recovery
+from difffilter.sensor import Sensor
 from difffilter.weighing import reweigh, weigh_once
 
-__all__ = ["predict", "step"]
+__all__ = ["Predicted", "linearise", "predict", "step"]
 
 
 def step(
@@ -34,9 +39,10 @@ def step(
     Returns:
         The belief after the measurement, and the record of what was done.
     """
-    mean, deviations = predict(filter, constants, belief, measurement)
-    present = ~torch.isnan(measurement.z)
-    linear, present = _linearise(filter, constants, mean, deviations, measurement, present)
+    if filter.fusion is not None:
+        return filter.fusion.step(filter, constants, belief, measurement)
+    predicted = predict(filter, constants, belief, measurement)
+    linear, present = linearise(filter, constants, predicted, measurement)
     isolated = torch.zeros_like(present)
     if filter.federated:
         linear, present, isolated = _isolate(filter, linear, present)
@@ -58,24 +64,67 @@ def step(
         streak = filter.recovery.count(belief.memory[STREAK], record.weight, present)
         memory = {**memory, STREAK: streak}
     record = record._replace(isolated=isolated)
-    n = mean.shape[-1]
+    n = linear.mean.shape[-1]
     posterior = conditioned.deviations[..., :n, :]
-    if posterior.shape[-1] > n:  # columns of common noise: static, by the recipe
+    if posterior.shape[-1] > n:  # common noise, cubature: static, by the recipe
         posterior = compress(posterior)
     return Belief(linear.mean + conditioned.shift[..., :n], posterior, memory), record
 
 
+class Predicted(NamedTuple):
+    """A predicted belief: mean and compressed deviations, and what these are made of."""
+
+    mean: Tensor
+    deviations: Tensor
+    moved: Tensor
+    process: Tensor
+    transition: Callable[[Tensor], Tensor]
+
+
 def predict(
     filter: Filter, constants: Values, belief: Belief, measurement: Measurement
-) -> tuple[Tensor, Tensor]:
-    """Mean f(m) and deviations compress([F X, G L_Q]) at the measurement's time."""
+) -> Predicted:
+    """Mean f(m) and deviations compress([F X, G L_Q]) at the measurement's time.
+
+    With cubature and a motion that is not linear: mean and deviations of the moved points.
+    """
     motion, dt, inputs = filter.motion, measurement.dt, measurement.inputs
-    mean = motion.transition(belief.mean, dt, inputs, constants)
-    moved = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
+    if filter.linearise == "cubature" and not motion.linear:
+        cloud = points(belief.mean, belief.deviations)
+        mean, moved = moments(motion.transition(cloud, dt, inputs, constants))
+    else:
+        mean = motion.transition(belief.mean, dt, inputs, constants)
+        moved = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
     process = motion.noise(dt, constants)
     if filter.adaptation is not None:
         process = filter.adaptation.before_predict(belief.memory, process, inputs, constants)
-    return mean, compress(moved, process)
+
+    def transition(columns: Tensor) -> Tensor:
+        return motion.propagate(belief.mean, columns, dt, inputs, constants)
+
+    return Predicted(mean, compress(moved, process), moved, process, transition)
+
+
+def linearise(
+    filter: Filter, constants: Values, predicted: Predicted, measurement: Measurement
+) -> tuple[Linearised, Tensor]:
+    """Innovation and deviations of all channels, and which are present."""
+    present = ~torch.isnan(measurement.z)
+
+    def again(mean: Tensor, deviations: Tensor) -> Linearised:
+        linear, _ = _linearise(filter, constants, mean, deviations, measurement, present)
+        return linear._replace(
+            moved=predicted.moved,
+            process=predicted.process,
+            transition=predicted.transition,
+            dt=measurement.dt,
+            again=again,
+        )
+
+    linear = again(predicted.mean, predicted.deviations)
+    if filter.clairvoyant:
+        present = present & torch.isfinite(measurement.inputs["fault.variance"])
+    return linear, present
 
 
 def _linearise(
@@ -88,11 +137,16 @@ def _linearise(
 ) -> tuple[Linearised, Tensor]:
     """Innovation and deviations of all sensors' channels, noise common to channels included."""
     inputs = measurement.inputs
+    cubature = filter.linearise == "cubature"
+    cloud = points(mean, deviations) if cubature else mean
     innovations, observed, independent, total, common = [], [], [], [], []
     at = 0
     for sensor in filter.sensors:
         here = slice(at, at := at + len(sensor.channels))
-        predicted, z_deviations = sensor.observe(mean, deviations, inputs, constants)
+        if cubature:
+            predicted, z_deviations = _at_points(sensor, mean, cloud, inputs, constants)
+        else:
+            predicted, z_deviations = sensor.observe(mean, deviations, inputs, constants)
         z = torch.where(present[..., here], measurement.z[..., here], predicted)
         noise = sensor.noise(constants)
         innovations.append(sensor.residual(z, predicted))
@@ -100,6 +154,8 @@ def _linearise(
         independent.append(noise.independent.expand_as(predicted))
         total.append(noise.total.expand_as(predicted))
         common.append(noise.common)
+    if cubature:
+        deviations = torch.cat([deviations, -deviations], dim=-1) * 0.5**0.5
     innovation, r, r_total = (_join(parts, -1, 1) for parts in (innovations, independent, total))
     if filter.clairvoyant:
         variance = inputs["fault.variance"]
@@ -116,6 +172,19 @@ def _linearise(
         z_deviations = torch.cat([z_deviations, shared], dim=-1)
         deviations = torch.nn.functional.pad(deviations, (0, columns))
     return Linearised(mean, deviations, innovation, z_deviations, r, r_total, columns), present
+
+
+def _at_points(
+    sensor: Sensor, mean: Tensor, cloud: Tensor, inputs: Mapping[str, Tensor], constants: Values
+) -> tuple[Tensor, Tensor]:
+    """Mean of the predicted values at cubature points, and their deviations (..., m, 2n).
+
+    Through differences to the centre's value, so that angles average without a cut.
+    """
+    centre = sensor.predict(mean, inputs, constants)
+    values = sensor.predict(cloud, inputs, constants)
+    offset, deviations = moments(sensor.residual(values, centre))
+    return centre + offset, deviations
 
 
 def _isolate(
@@ -141,8 +210,7 @@ def _recover(
     growth = recovery.growth(streak, constants)
     if recovery.action == "widen":
         return linear, growth
-    k = linear.deviations.shape[-1]
-    columns = growth.sqrt().unsqueeze(-1).expand(*growth.shape, k - linear.common)
+    columns = growth.sqrt().unsqueeze(-1).expand(*growth.shape, linear.own)
     columns = torch.nn.functional.pad(columns, (0, linear.common), value=1.0).unsqueeze(-2)
     grown = linear._replace(
         deviations=linear.deviations * columns, observed=linear.observed * columns

@@ -78,8 +78,9 @@ def reweigh(
         if filter.weigh_prior:
             floor = constants["prior.floor"]
             prior_weight = floor + (1.0 - floor) * filter.weight(prior_s, constants, temperature)
-            ones = torch.ones_like(linear.deviations[..., 0, n:])
-            columns = torch.cat([prior_weight.rsqrt(), ones], dim=-1).unsqueeze(-2)
+            ones = torch.ones_like(linear.deviations[..., 0, linear.own :])
+            root = [prior_weight.rsqrt()] * (linear.own // n)
+            columns = torch.cat([*root, ones], dim=-1).unsqueeze(-2)
             deviations, observed = rows * columns, observed * columns
         conditioned = _condition(filter, constants, linear, deviations, observed, weight)
     return conditioned, _record(linear, s, weight, prior_weight, gate, present)
@@ -94,11 +95,14 @@ def _residual_rows(filter: Filter, linear: Linearised) -> tuple[Tensor, int]:
     n, k = linear.mean.shape[-1], linear.deviations.shape[-1]
     rows = linear.deviations[..., :0, :]
     if filter.weigh_prior:
-        white = torch.eye(n, k, dtype=rows.dtype, device=rows.device)
+        unit = torch.eye(n, dtype=rows.dtype, device=rows.device)
+        if linear.own > n:  # cubature: both halves
+            unit = torch.cat([unit, -unit], dim=-1) * 0.5**0.5
+        white = torch.nn.functional.pad(unit, (0, k - linear.own))
         rows = white.expand(*linear.mean.shape, k)
     split = rows.shape[-2]
     if linear.common:
-        own = linear.observed[..., : k - linear.common]
+        own = linear.observed[..., : linear.own]
         own = torch.nn.functional.pad(own, (0, linear.common))
         rows = torch.cat([rows, own], dim=-2)
     return rows, split
@@ -154,7 +158,7 @@ def _distance(
         return spread(filter.grouped, [group_rms(s, present, g) for g in filter.grouped])
     observed = linear.observed
     if filter.standardise == "noise":
-        observed = observed[..., observed.shape[-1] - linear.common :]
+        observed = observed[..., linear.own :]
     return positive_sqrt(_squares(filter, linear, residual, observed, present, scales.widening))
 
 

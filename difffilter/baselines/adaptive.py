@@ -109,8 +109,8 @@ class InnovationScaling:
         own rows, noise included, do not tell.
         """
         b = memory["adaptive.b"].unsqueeze(-1)
-        n = linearised.mean.shape[-1]
-        state, common = linearised.observed[..., :n], linearised.observed[..., n:]
+        own = linearised.own
+        state, common = linearised.observed[..., :own], linearised.observed[..., own:]
         deviations, columns = linearised.deviations, common.shape[-1]
         if columns:
             deviations = torch.cat([deviations, pad(state, (0, columns))], dim=-2)
@@ -134,7 +134,8 @@ class InnovationScaling:
         """Ring and scales after the step."""
         n = linearised.mean.shape[-1]
         a, b = memory["adaptive.a"], memory["adaptive.b"]
-        state, common = linearised.observed[..., :n], linearised.observed[..., n:]
+        own = linearised.own
+        state, common = linearised.observed[..., :own], linearised.observed[..., own:]
         if common.shape[-1]:
             residual = linearised.innovation - conditioned.shift[..., n:]
             after = conditioned.deviations[..., n:, :]

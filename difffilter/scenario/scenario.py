@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from difffilter.metrics import SCORES, Score
 from difffilter.parameters import Parameter
 from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
 from difffilter.scenario.faults import Fault, read_fault
+from difffilter.scenario.pooling import pooled_sigma
 from difffilter.scenario.sensing import SensorSpec, read_sensor
 from difffilter.scenario.systems import (
     MotionSpec,
@@ -175,6 +176,7 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
     }
     if not sensors:
         top.fail("sensors", "one sensor or more")
+    sensors = {name: _pooled(top, name, sensor, sensors) for name, sensor in sensors.items()}
     channels = [c for sensor in sensors.values() for c in sensor.model.channels]
     if len(set(channels)) != len(channels):
         top.fail("sensors", "no channel name twice")
@@ -222,6 +224,22 @@ def _read_score(top: Table) -> Score:
     if last < first:
         top.fail("score_times", "[first, last] with first <= last")
     return Score(rows, first, last)
+
+
+def _pooled(
+    top: Table, name: str, sensor: SensorSpec, sensors: Mapping[str, SensorSpec]
+) -> SensorSpec:
+    """A pooled sensor with the noise that its members leave; others as they are."""
+    if not sensor.pool:
+        return sensor
+    part = top.table("sensors").table(name)
+    for member in sensor.pool:
+        if member not in sensors or sensors[member].pool or member == name:
+            part.fail("pool", f"other sensors among {', '.join(sensors)}")
+        if len(sensors[member].model.channels) != len(sensor.model.channels):
+            part.fail("pool", "sensors of as many channels")
+    sigma = pooled_sigma([sensors[member] for member in sensor.pool])
+    return replace(sensor, sigma=sigma, model=replace(sensor.model, sigma=sigma))
 
 
 def _check_platform(where: str, world: World | None, sensors: Mapping[str, SensorSpec]) -> None:

@@ -42,6 +42,7 @@ class SensorSpec:
         sigma: standard deviation of the independent noise, in the world.
         common_sigma: of the noise that all channels share, in the world (TDOA only).
         schedule: other levels of ``sigma`` for stretches of the trajectory.
+        pool: names of the sensors whose measurements it combines, for a derived one.
         every: it measures at every so many-th step of the world.
     """
 
@@ -50,6 +51,7 @@ class SensorSpec:
     common_sigma: float
     schedule: tuple[Schedule, ...]
     every: int = 1
+    pool: tuple[str, ...] = ()
 
     @property
     def platform(self) -> tuple[str, ...]:
@@ -116,12 +118,13 @@ def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
         "channels": table.names("channels", ()),
     }
     every = table.integer("every", 1, low=1)
+    pool = table.names("pool", ()) if kind == "position" else ()
     about |= {} if kind == "position" else _read_stations(table, kind, axes)
     expected = axes if kind == "position" else len(about["stations"]) - (kind == "tdoa")
     if about["channels"] and len(about["channels"]) != expected:
         table.fail("channels", f"{expected} names")
     table.finish()
-    return SensorSpec(MODELS[kind](**about), sigma, common, tuple(schedule), every)
+    return SensorSpec(MODELS[kind](**about), sigma, common, tuple(schedule), every, pool)
 
 
 def _read_stations(table: Table, kind: str, axes: int) -> dict[str, Any]:

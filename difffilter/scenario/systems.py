@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from difffilter.adaptation import (
+    Chain,
+    InnovationMatching,
+    MultipleFading,
+    PredictionCorrection,
+    StrongTracking,
+)
 from difffilter.baselines.adaptive import InnovationScaling
 from difffilter.baselines.bearing_lines import BearingLeastSquares
 from difffilter.baselines.chan import ChanLeastSquares
@@ -12,10 +19,11 @@ from difffilter.baselines.chan_ekf import ChanEKF
 from difffilter.baselines.least_squares import TaylorLeastSquares
 from difffilter.credibility import Credibility
 from difffilter.errors import InputError
-from difffilter.filter import STANDARDISATIONS, Filter
+from difffilter.filter import RULES, STANDARDISATIONS, Adaptation, Filter
+from difffilter.fusion import Fusion
 from difffilter.gate import ACTIONS, Gate
 from difffilter.groups import DISTANCES, SCOPES, Scope, channel_groups
-from difffilter.motion import NOISES, ConstantVelocity
+from difffilter.motion import NOISES, ConstantVelocity, CoordinatedTurn
 from difffilter.parameters import Number, Parameter, as_number
 from difffilter.recovery import RECOVERIES, Recovery
 from difffilter.scenario.sensing import SensorSpec
@@ -26,7 +34,12 @@ from difffilter.weights import WEIGHTS, weight_named
 __all__ = ["MotionSpec", "ParameterSpec", "System", "SystemSpec", "build_system", "read_system"]
 
 ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf", "bearing-ls", "bearing-wls")
-ADAPTATIONS = ("innovation-scaling", "credibility", "ideal-credibility")
+ADAPTATIONS = (
+    "innovation-scaling", "credibility", "ideal-credibility", "innovation-matching",
+    "prediction-correction", "strong-tracking", "multiple-fading",
+)  # fmt: skip
+MODELS = ("constant-velocity", "coordinated-turn")
+FUSIONS = ("none", "distributed")
 #: Keys of a system that no baseline reads.
 FILTER_KEYS = (
     "weight",
@@ -41,6 +54,8 @@ FILTER_KEYS = (
     "federated",
     "shares",
     "adaptation",
+    "linearise",
+    "fusion",
     "clairvoyant",
 )
 
@@ -79,9 +94,21 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class MotionSpec:
-    """``[motion]``: constant velocity with discrete or continuous acceleration noise."""
+    """``[motion]``: constant velocity or a coordinated turn, and the kind of noise."""
 
     noise: str
+    model: str = "constant-velocity"
+
+    def build(self, axes: int, level: Number) -> ConstantVelocity:
+        """The model at a level of noise."""
+        if self.model == "coordinated-turn":
+            return CoordinatedTurn(axes, self.noise, level)
+        return ConstantVelocity(axes, self.noise, level)
+
+    @property
+    def parameter(self) -> str:
+        """Name of the noise's parameter."""
+        return "motion.state_sigma" if self.noise == "state" else "motion.acceleration"
 
 
 @dataclass(frozen=True)
@@ -102,17 +129,29 @@ class SystemSpec:
     recovery: str
     federated: bool
     shares: tuple[float, ...]
-    adaptation: str
+    adaptation: str | tuple[str, ...]
+    linearise: str
+    fusion: str
     clairvoyant: bool
     common_noise: bool
     sensors: tuple[str, ...]
     values: Mapping[str, Number]
     note: str
 
+    @property
+    def adaptations(self) -> tuple[str, ...]:
+        """Names of the plug-ins, in order."""
+        if isinstance(self.adaptation, tuple):
+            return self.adaptation
+        return () if self.adaptation == "none" else (self.adaptation,)
+
 
 def read_motion(table: Table) -> MotionSpec:
     """Read ``[motion]``."""
-    spec = MotionSpec(table.text("noise", "discrete", choices=NOISES))
+    spec = MotionSpec(
+        table.text("noise", "discrete", choices=NOISES),
+        table.text("model", "constant-velocity", choices=MODELS),
+    )
     table.finish()
     return spec
 
@@ -134,7 +173,9 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
         table.text("recovery", "none", choices=("none", *RECOVERIES)),
         table.flag("federated"),
         table.numbers("shares", None, ()),
-        table.text("adaptation", "none", choices=("none", *ADAPTATIONS)),
+        _read_adaptation(table),
+        table.text("linearise", "taylor", choices=RULES),
+        table.text("fusion", "none", choices=FUSIONS),
         table.flag("clairvoyant"),
         table.flag("common_noise"),
         table.names("sensors", tuple(sensors)),
@@ -149,11 +190,12 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
     for key in FILTER_KEYS:
         if key in table and spec.estimator != "filter":
             table.fail(key, f"no such key beside estimator = {spec.estimator!r}")
-    if spec.adaptation != "none" and spec.common_noise and spec.weigh_prior:
+    if spec.adaptations and spec.common_noise and spec.weigh_prior:
         table.fail("adaptation", "none together with common_noise and weigh_prior")
-    if "credibility" in spec.adaptation and spec.common_noise:
+    credible = any("credibility" in name for name in spec.adaptations)
+    if credible and spec.common_noise:
         table.fail("adaptation", "no credibility together with common_noise")
-    if "credibility" in spec.adaptation and len(spec.sensors) < 2:
+    if credible and len(spec.sensors) < 2:
         table.fail("adaptation", "two sensors or more with credibility")
     if spec.federated and len(spec.sensors) < 2:
         table.fail("federated", "two sensors or more with it")
@@ -233,11 +275,11 @@ def build_system(
     )
     if spec.common_noise and not any(isinstance(model, TDOA) for model in models):
         raise where("common_noise: found no TDOA sensor, expected one with it")
-    acceleration = value("motion.acceleration")
-    if acceleration is None and spec.estimator in ("filter", "chan-ekf"):
-        raise where("needs [parameters.motion.acceleration], found none")
+    level = value(motion.parameter)
+    if level is None and spec.estimator in ("filter", "chan-ekf"):
+        raise where(f"needs [parameters.{motion.parameter}], found none")
     try:
-        moving = ConstantVelocity(axes, motion.noise, 1.0 if acceleration is None else acceleration)
+        moving = motion.build(axes, 1.0 if level is None else level)
         bare = _bare_system(spec, axes, moving, models, value("start.sigma"), velocity)
         own = bare.declarations
     except InputError as error:
@@ -298,20 +340,42 @@ def _bare_system(
         recovery=None if spec.recovery == "none" else Recovery(spec.recovery),
         federated=spec.federated,
         shares=spec.shares,
-        adaptation=_adaptation(spec.adaptation, sensors, axes),
+        adaptation=_adaptation(spec, sensors, axes),
+        fusion=None if spec.fusion == "none" else Fusion(axes),
+        linearise=spec.linearise,
         clairvoyant=spec.clairvoyant,
         start_sigma=start_sigma,
     )
 
 
 def _adaptation(
-    name: str, sensors: tuple[PositionSensor, ...], axes: int
-) -> InnovationScaling | Credibility | None:
-    if name == "none":
-        return None
-    if name == "innovation-scaling":
-        return InnovationScaling()
+    spec: SystemSpec, sensors: tuple[PositionSensor, ...], axes: int
+) -> Adaptation | None:
+    """The plug-in of that name, or a chain of several."""
     counts = [len(sensor.channels) for sensor in sensors]
     channels = [c for sensor in sensors for c in sensor.channels]
     systems = channel_groups("sensor", channels, counts)
-    return Credibility(systems, axes, ideal=name == "ideal-credibility")
+    weight = weight_named(spec.weight)
+    build: dict[str, Callable[[], Adaptation]] = {
+        "innovation-scaling": InnovationScaling,
+        "credibility": lambda: Credibility(systems, axes),
+        "ideal-credibility": lambda: Credibility(systems, axes, ideal=True),
+        "innovation-matching": InnovationMatching,
+        "prediction-correction": lambda: PredictionCorrection(axes),
+        "strong-tracking": lambda: StrongTracking(weight),
+        "multiple-fading": lambda: MultipleFading(weight),
+    }
+    parts = tuple(build[name]() for name in spec.adaptations)
+    if not parts:
+        return None
+    return parts[0] if len(parts) == 1 else Chain(parts)
+
+
+def _read_adaptation(table: Table) -> str | tuple[str, ...]:
+    """``adaptation``: a name, or a list of names."""
+    if isinstance(table.data.get("adaptation"), list):
+        names = table.names("adaptation")
+        if not set(names) <= set(ADAPTATIONS) or len(set(names)) != len(names):
+            table.fail("adaptation", f"names among {', '.join(ADAPTATIONS)}, none twice")
+        return names
+    return table.text("adaptation", "none", choices=("none", *ADAPTATIONS))

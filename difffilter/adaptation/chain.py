@@ -1,0 +1,76 @@
+"""Several adaptations, one after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from difffilter.adaptation.passive import Memory
+from difffilter.condition import Conditioned
+from difffilter.filter import Adaptation, Linearised
+from difffilter.parameters import Parameter, Values
+
+__all__ = ["Chain"]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Each hook of each part in order: the second sees what the first has made.
+
+    Attributes:
+        parts: adaptations with parameters and memories of different names.
+    """
+
+    parts: tuple[Adaptation, ...]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of all parts."""
+        return tuple(p for part in self.parts for p in part.parameters)
+
+    @property
+    def ideal(self) -> bool:
+        """Whether a part needs what only a simulation knows."""
+        return any(getattr(part, "ideal", False) for part in self.parts)
+
+    def memory(self, mean: Tensor, channels: int) -> dict[str, Tensor]:
+        """Those of all parts."""
+        return {k: v for part in self.parts for k, v in part.memory(mean, channels).items()}
+
+    def before_predict(
+        self, memory: Memory, process: Tensor, inputs: Memory, constants: Values
+    ) -> Tensor:
+        """Process noise through all parts."""
+        for part in self.parts:
+            process = part.before_predict(memory, process, inputs, constants)
+        return process
+
+    def before_condition(
+        self,
+        memory: Memory,
+        linearised: Linearised,
+        present: Tensor,
+        inputs: Memory,
+        constants: Values,
+    ) -> tuple[Linearised, Memory]:
+        """The linearised step through all parts."""
+        for part in self.parts:
+            linearised, new = part.before_condition(memory, linearised, present, inputs, constants)
+            memory = {**memory, **new}
+        return linearised, memory
+
+    def after_condition(
+        self,
+        memory: Memory,
+        linearised: Linearised,
+        conditioned: Conditioned,
+        weight: Tensor,
+        present: Tensor,
+        constants: Values,
+    ) -> Memory:
+        """Memory of all parts."""
+        for part in self.parts:
+            new = part.after_condition(memory, linearised, conditioned, weight, present, constants)
+            memory = {**memory, **new}
+        return memory
