@@ -4,6 +4,7 @@ from difffilter.belief import Belief, Measurement, Record, belief
 from difffilter.checkpoint import Checkpoint, load, save
 from difffilter.compare import Comparison, compare
 from difffilter.condition import condition
+from difffilter.credibility import Credibility
 from difffilter.errors import (
     CheckpointError,
     DifffilterError,
@@ -12,7 +13,9 @@ from difffilter.errors import (
     NonFiniteError,
 )
 from difffilter.estimate import estimate, started
+from difffilter.federation import Federation
 from difffilter.filter import Filter
+from difffilter.fsp import FSP, fsp, fsp_surface, ratio_gain
 from difffilter.gate import Gate
 from difffilter.log import Log, Start, stack_logs
 from difffilter.logfile import read_log, write_log
@@ -31,6 +34,7 @@ from difffilter.start import from_measurements
 from difffilter.step import step
 from difffilter.tracker import Tracker
 from difffilter.triangulate import from_bearings
+from difffilter.trust import trust_gap
 from difffilter.tune.loop import TuneResult, tune
 from difffilter.tune.settings import TuneSettings
 from difffilter.weights import (
@@ -50,6 +54,7 @@ from difffilter.weights import (
 )
 
 __all__ = [
+    "FSP",
     "TDOA",
     "WEIGHTS",
     "Bearing",
@@ -58,7 +63,9 @@ __all__ = [
     "CheckpointError",
     "Comparison",
     "ConstantVelocity",
+    "Credibility",
     "DifffilterError",
+    "Federation",
     "Filter",
     "FunctionMotion",
     "FunctionSensor",
@@ -93,6 +100,8 @@ __all__ = [
     "estimate",
     "from_bearings",
     "from_measurements",
+    "fsp",
+    "fsp_surface",
     "huber",
     "igg3",
     "imq",
@@ -101,6 +110,7 @@ __all__ = [
     "load_scenario",
     "nees",
     "plain",
+    "ratio_gain",
     "read_log",
     "rejected",
     "rmse",
@@ -113,6 +123,7 @@ __all__ = [
     "step",
     "student_t",
     "tanh",
+    "trust_gap",
     "tukey",
     "tune",
     "welsch",

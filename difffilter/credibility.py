@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -58,6 +59,9 @@ class Credibility:
     the last row; ``credibility.drift`` (..., axes).
     """
 
+    #: Noise common to channels, or a full R, is refused.
+    independent_noise: ClassVar[bool] = True
+
     systems: tuple[tuple[int, ...], ...]
     axes: int
     ideal: bool = False
@@ -104,8 +108,8 @@ class Credibility:
     ) -> Tensor:
         """Process noise raised where the systems drift off together."""
         if self.ideal:
-            level, own = inputs["ideal.process"], constants["motion.acceleration"]
-            factor = torch.where(torch.isnan(level), 1.0, level / own.reshape(-1)[0])
+            level, own = inputs["ideal.process"], constants["motion.factor"][0, 0]
+            factor = torch.where(torch.isnan(level), 1.0, level / own)
             return process * factor[..., None, None]
         rate = constants["credibility.drift_rate"]
         drift = memory[DRIFT].square().mean(-1) * (2.0 - rate) / rate

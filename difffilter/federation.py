@@ -81,7 +81,8 @@ class Federation:
             observed * root,
             innovation.expand(self.systems, *innovation.shape),
             weight * own,
-            noise.expand(self.systems, *noise.shape),
+            # A full R has r = 0 where it stands in the columns: keep 0 / 0 away from others.
+            torch.where(own > 0.0, noise, 1.0),
         )
         shift, deviations = local.shift[0], local.deviations[0]
         certain, zero = torch.ones_like(shift), torch.zeros_like(shift)

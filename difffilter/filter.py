@@ -221,6 +221,14 @@ class Filter:
         grouped = self.grouped  # checked when the filter is made
         if self.mad and grouped is not None:
             raise InputError("mad: expected scope channel with it")
+        if getattr(self.adaptation, "independent_noise", False):
+            for sensor in self.sensors:
+                values = {p.name: p.tensor() for p in sensor.parameters}
+                if sensor.noise(sensor.prepare(values)).common.shape[-1]:
+                    raise InputError(
+                        f"adaptation: found noise common to channels of {sensor.channels[0]}, "
+                        "expected independent noise"
+                    )
         names = self.channels
         if len(set(names)) != len(names):
             raise InputError(f"channels: found a name twice in {', '.join(names)}")
@@ -359,7 +367,8 @@ class Filter:
         for name in foretold:
             if name not in inputs:
                 raise InputError(
-                    f"log: found no input {name}, expected what a clairvoyant filter is told"
+                    f"log: found no input {name}, expected what a clairvoyant or ideal filter "
+                    "is told"
                 )
 
     def start(self, mean: Tensor, deviations: Tensor) -> Belief:

@@ -23,6 +23,7 @@ import difffilter
 from difffilter import baselines, checkpoint, gate, groups, metrics, motion, recovery
 from difffilter.belief import Record
 from difffilter.compare import compare
+from difffilter.credibility import Credibility
 from difffilter.filter import STANDARDISATIONS
 from difffilter.losses import LOSSES
 from difffilter.scenario import faults, scenario, sensing, systems, table
@@ -150,6 +151,19 @@ def test_groups_of_a_system_load() -> None:
         for name, changes in tomllib.loads(found[2])["systems"].items():
             changed = load_scenario(EXAMPLE, {f"systems.{name}.{k}": v for k, v in changes.items()})
             assert changed.system(name).grouped
+
+
+def test_federated_systems_load_and_run() -> None:
+    text = sections(DOCS / "scenario-files.md")["Federated filters and credibility"]
+    (block,) = FENCE.finditer(text)
+    document = tomllib.loads(block[2])
+    overrides = {f"systems.{name}": system for name, system in document["systems"].items()}
+    for name, entry in document["parameters"]["credibility"].items():
+        overrides[f"parameters.credibility.{name}"] = entry
+    changed = load_scenario(EXAMPLE, overrides)
+    rows = compare(changed, trajectories=2, systems=tuple(document["systems"])).rows
+    assert [row.system for row in rows] == list(document["systems"])
+    assert all(changed.system(name).federation for name in document["systems"])
 
 
 def test_the_example_loads_simulates_and_tunes() -> None:
@@ -348,6 +362,7 @@ def test_every_parameter_and_its_default_is_documented() -> None:
     parameters += gate.Gate().parameters
     parameters += recovery.Recovery().parameters
     parameters += baselines.adaptive.InnovationScaling().parameters
+    parameters += Credibility(((0,), (1,)), axes=1).parameters
     for parameter in parameters:
         row = next((r for r in text.splitlines() if f"`{parameter.name}`" in r), "")
         assert row, parameter.name

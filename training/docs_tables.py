@@ -7,7 +7,7 @@ from typing import Any
 
 from difffilter.files import write_atomically
 
-__all__ = ["AIRPORT", "BEARING", "RUNS", "put", "results", "uwb_row", "weight_tables"]
+__all__ = ["AIRPORT", "BEARING", "RUNS", "URBAN", "put", "results", "uwb_row", "weight_tables"]
 
 Rows = list[dict[str, Any]]
 
@@ -20,6 +20,9 @@ BEARING = {
     "matched": "a world as assumed",
     "clean": "no outliers",
 }
+#: The urban comparison, and its systems and values: published, tuned, ideal.
+URBAN = "held out"
+URBAN_ROWS = (("credibility", "published"), ("credibility", "tuned"), ("ideal", "published"))
 RUNS = ("los_A1", "los_A2", "nlos_A1", "nlos_A2")
 
 
@@ -33,13 +36,16 @@ def put(page: Path, name: str, text: str) -> None:
     write_atomically(page, f"{before}{begin}\n\n{text}\n{end}{after}")
 
 
-def results(airport: dict[str, Any], bearing: dict[str, Any], uwb: Rows) -> str:
+def results(
+    airport: dict[str, Any], bearing: dict[str, Any], urban: dict[str, Any], uwb: Rows
+) -> str:
     """What tuning bought: RMSE of the published, the tuned and the clairvoyant filter."""
     lines = [_compared(f"airport TDOA, {name}", airport[name], "m-ekf") for name in AIRPORT]
     lines += [
         _compared(f"airborne bearings, {label}", bearing[name], "gated")
         for name, label in BEARING.items()
     ]
+    lines += _urban(urban[URBAN])
     for run in RUNS:
         hand = uwb_row(uwb, run, "hand-picked")
         tuned = uwb_row(uwb, run, "tuned: squared error and consistency")
@@ -85,6 +91,21 @@ def _compared(label: str, comparison: dict[str, Any], system: str) -> list[str]:
     told = rows["clairvoyant", "published"]
     errors = [_metres(row["rmse"]) for row in (rows[system, "published"], tuned, told)]
     return [label, *errors, f"{tuned['nees_per_state']:.2f}"]
+
+
+def _urban(comparison: dict[str, Any]) -> list[list[str]]:
+    """A line for the whole and one for each scene; the bound is the ideal filter."""
+    rows = {(row["system"], row["values"]): row for row in comparison["rows"]}
+    published, tuned, ideal = (rows[key] for key in URBAN_ROWS)
+    errors = {"all scenes": [row["rmse"] for row in (published, tuned, ideal)]}
+    for scene in published["per_scene"]:
+        errors[f"scene {scene}"] = [row["per_scene"][scene] for row in (published, tuned, ideal)]
+    nees = {"all scenes": f"{tuned['nees_per_state']:.2f}"}
+    return [
+        [f"urban credibility, {label}", _metres(before), _metres(after),
+         f"{_metres(bound)} (ideal)", nees.get(label, "")]
+        for label, (before, after, bound) in errors.items()
+    ]  # fmt: skip
 
 
 def _rows(rows: Rows) -> str:

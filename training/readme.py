@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from docs_tables import AIRPORT, BEARING, RUNS, put, results, uwb_row, weight_tables
+from docs_tables import AIRPORT, BEARING, RUNS, URBAN, put, results, uwb_row, weight_tables
 from matplotlib.axes import Axes
 
 from difffilter.figures.style import COLOURS, axes_grid, save_figure
@@ -18,7 +18,7 @@ from difffilter.figures.weights import weights_figure
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
-NAMES = ("airport-mlat", "airborne-bearing", "uwb-ranges", "weights")
+NAMES = ("airport-mlat", "airborne-bearing", "urban-credibility", "uwb-ranges", "weights")
 
 
 def main() -> int:
@@ -35,14 +35,16 @@ def main() -> int:
             return 2
     airport = reports["airport-mlat"]["comparisons"]
     bearing = reports["airborne-bearing"]["comparisons"]
+    urban = reports["urban-credibility"]["comparisons"]
     uwb = reports["uwb-ranges"]["tables"]["held-out runs"]
-    figure, (left, middle, right) = axes_grid(1, 3, width=5.2, height=3.8)
-    draw_airport(left, airport[AIRPORT[0]]["rows"])
-    draw_bearing(middle, bearing)
-    draw_uwb(right, uwb)
+    figure, axes = axes_grid(2, 2, width=6.2, height=3.8)
+    draw_airport(axes[0], airport[AIRPORT[0]]["rows"])
+    draw_bearing(axes[1], bearing)
+    draw_urban(axes[2], urban[URBAN]["rows"])
+    draw_uwb(axes[3], uwb)
     save_figure(figure, IMAGES / "results")
     save_figure(weights_figure(), IMAGES / "weights")
-    put(ROOT / "README.md", "results", results(airport, bearing, uwb))
+    put(ROOT / "README.md", "results", results(airport, bearing, urban, uwb))
     put(ROOT / "docs" / "weights.md", "weights", weight_tables(reports["weights"]))
     return 0
 
@@ -87,6 +89,25 @@ def draw_bearing(ax: Axes, comparisons: dict[str, Any]) -> None:
     ax.set_yticks([], minor=True)
     ax.set_title("Airborne bearings")
     ax.legend(fontsize=8, ncols=2, loc="upper center")
+
+
+def draw_urban(ax: Axes, rows: list[dict[str, Any]]) -> None:
+    """Four bars per scene."""
+    series = (
+        ("standard (algorithm 1)", "standard", "published", COLOURS["other"]),
+        ("credibility (2), published", "credibility", "published", COLOURS["published"]),
+        ("credibility (2), tuned", "credibility", "tuned", COLOURS["tuned"]),
+        ("ideal (3), not realisable", "ideal", "published", COLOURS["clairvoyant"]),
+    )
+    by_name = {(row["system"], row["values"]): row["per_scene"] for row in rows}
+    scenes = list(rows[0]["per_scene"])
+    for i, (label, system, values, colour) in enumerate(series):
+        heights = [by_name[system, values][scene] for scene in scenes]
+        places = [x + 0.2 * (i - 1.5) for x in range(len(scenes))]
+        ax.bar(places, heights, 0.18, label=label, color=colour)
+    ax.set_xticks(range(len(scenes)), [f"scene {scene}" for scene in scenes])
+    ax.set(ylabel="position RMSE (m), held out", title="Urban credibility, two systems")
+    ax.legend(fontsize=8)
 
 
 def draw_uwb(ax: Axes, rows: list[dict[str, Any]]) -> None:

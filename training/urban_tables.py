@@ -147,7 +147,7 @@ def trust_traps(report: Report) -> None:
         f"N = {n}": trust_gap(line, torch.full_like(line, 0.1), n).tolist() for n in (2, 3, 5, 10)
     }
     figure = curves_figure(
-        {"b = 3": (line.tolist(), curves)}, "own error a", "gap in credibility", markers=False,
+        {"b = 0.1": (line.tolist(), curves)}, "own error a", "gap in credibility", markers=False,
         zero=False,
     )  # fmt: skip
     report.figure(figure, "trust-traps-systems", "Trust traps narrow as systems are added, b = 0.1")

@@ -185,6 +185,9 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
     if faults and world is None:
         top.fail("faults", "none in a scenario without [world]")
     _check_platform(str(path), world, sensors)
+    for name, sensor in sensors.items():
+        if sensor.every > 1 and world is None:
+            top.table("sensors").table(name).fail("every", "none in a scenario without [world]")
     systems = {
         name: read_system(name, part, tuple(sensors))
         for name, part in top.table("systems").children()
