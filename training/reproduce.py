@@ -23,6 +23,7 @@ HERE = Path(__file__).resolve().parent
 EXPERIMENTS = {
     "airport-mlat": "airport_mlat.py",
     "airborne-bearing": "airborne_bearing.py",
+    "manoeuvre-fusion": "manoeuvre_fusion.py",
     "urban-credibility": "urban_credibility.py",
     "uwb-ranges": "uwb_ranges.py",
     "weights": "weights.py",
