@@ -43,10 +43,8 @@ class Descent:
         seed: int,
         log: Log | None,
     ) -> None:
-        if log is None:  # nothing is isolated in simulated trajectories of built-in sensors
-            filter = filter.centralised
-        else:
-            filter = lean(filter, log.only(filter.channels))
+        # Nothing is isolated in simulated trajectories of built-in sensors.
+        filter = filter.centralised if log is None else lean(filter, log.only(filter.channels))
         self.scenario, self.filter, self.settings, self.seed = scenario, filter, settings, seed
         self.context = LossContext(
             scenario.score,
