@@ -20,11 +20,23 @@ import pytest
 from cli_helpers import process
 
 import difffilter
-from difffilter import baselines, checkpoint, gate, groups, metrics, motion, recovery
+from difffilter import (
+    CoordinatedTurn,
+    InnovationMatching,
+    PredictionCorrection,
+    StrongTracking,
+    baselines,
+    checkpoint,
+    gate,
+    groups,
+    metrics,
+    motion,
+    recovery,
+)
 from difffilter.belief import Record
 from difffilter.compare import compare
 from difffilter.credibility import Credibility
-from difffilter.filter import STANDARDISATIONS
+from difffilter.filter import RULES, STANDARDISATIONS
 from difffilter.losses import LOSSES
 from difffilter.scenario import faults, scenario, sensing, systems, table
 from difffilter.scenario.scenario import load_scenario
@@ -164,6 +176,24 @@ def test_federated_systems_load_and_run() -> None:
     rows = compare(changed, trajectories=2, systems=tuple(document["systems"])).rows
     assert [row.system for row in rows] == list(document["systems"])
     assert all(changed.system(name).federation for name in document["systems"])
+
+
+@pytest.mark.parametrize("name", ["Adaptations", "Distributed fusion", "Pooled sensors"])
+def test_systems_of_a_section_load_and_run(name: str) -> None:
+    """A section's tables, added to the example, whose other systems keep their sensors."""
+    (block,) = FENCE.finditer(sections(DOCS / "scenario-files.md")[name])
+    document = tomllib.loads(block[2])
+    example = load_scenario(EXAMPLE)
+    overrides: dict[str, Any] = {
+        f"systems.{system}.sensors": ["range", "fix"] for system in example.systems
+    }
+    for table_name in ("sensors", "systems"):
+        overrides |= {f"{table_name}.{k}": v for k, v in document.get(table_name, {}).items()}
+    for component, group in document.get("parameters", {}).items():
+        overrides |= {f"parameters.{component}.{k}": v for k, v in group.items()}
+    changed = load_scenario(EXAMPLE, overrides)
+    rows = compare(changed, trajectories=2, systems=tuple(document["systems"])).rows
+    assert [row.system for row in rows] == list(document["systems"])
 
 
 def test_the_example_loads_simulates_and_tunes() -> None:
@@ -328,7 +358,8 @@ def test_every_choice_is_documented() -> None:
     text = without_code(DOCS / "scenario-files.md")
     choices = (
         *sensing.KINDS, *faults.KINDS, *WEIGHTS, *LOSSES, *gate.ACTIONS, *motion.NOISES,
-        *STANDARDISATIONS, *systems.ESTIMATORS, *systems.ADAPTATIONS, *table.UNITS,
+        *STANDARDISATIONS, *RULES, *systems.MODELS, *systems.FUSIONS, *systems.ESTIMATORS,
+        *systems.ADAPTATIONS, *table.UNITS,
         *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *scenario.STARTS, *metrics.SCORES,
         "constant", "uniform", "normal", "sigma",
     )  # fmt: skip
@@ -363,6 +394,9 @@ def test_every_parameter_and_its_default_is_documented() -> None:
     parameters += recovery.Recovery().parameters
     parameters += baselines.adaptive.InnovationScaling().parameters
     parameters += Credibility(((0,), (1,)), axes=1).parameters
+    for plug_in in (InnovationMatching(), PredictionCorrection(), StrongTracking()):
+        parameters += plug_in.parameters
+    parameters += [p for p in CoordinatedTurn().parameters if p.name == "motion.turn_rate"]
     for parameter in parameters:
         row = next((r for r in text.splitlines() if f"`{parameter.name}`" in r), "")
         assert row, parameter.name

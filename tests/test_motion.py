@@ -10,8 +10,10 @@ from oracles import kinematics
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.motion import ConstantVelocity, FunctionMotion
+from difffilter.filter import Filter
+from difffilter.motion import ConstantVelocity, CoordinatedTurn, FunctionMotion
 from difffilter.parameters import Parameter, as_number, published_values
+from difffilter.scenario.scenario import load_scenario
 
 ORACLES = {"discrete": kinematics.discrete_noise, "continuous": kinematics.continuous_noise}
 DTS = (0.0, 0.1, 1.0, 7.5)
@@ -190,3 +192,139 @@ def test_gradients_pass_through_the_jacobian_of_a_function_motion() -> None:
         return motion.propagate(mean, deviations, tensor(0.5), command, {"turn.gain": gain})
 
     assert torch.autograd.gradcheck(propagate, inputs)
+
+
+@pytest.mark.parametrize("value", [1.5, (0.5, 1.0, 2.0, 3.0)])
+def test_noise_of_the_states_is_diagonal_whatever_the_interval(value: object) -> None:
+    motion = ConstantVelocity(2, "state", value)  # type: ignore[arg-type]
+    (parameter,) = motion.parameters
+    assert (parameter.name, parameter.unit) == ("motion.state_sigma", "m, m/s")
+    constants = constants_of(motion)
+    dt = tensor([0.0, 0.3, 7.0])
+    deviations = motion.noise(dt, constants)
+    expected = np.diag(np.broadcast_to(value, 4) ** 2)
+    assert_close(deviations @ deviations.mT, np.tile(expected, (3, 1, 1)), 1e-14)
+    assert_close(motion.noise(dt[0], constants), np.sqrt(expected), 1e-14)
+    mean = tensor([1.0, 2.0, 3.0, 4.0])
+    expected = kinematics.transition(2, 0.3) @ array(mean)
+    assert_close(motion.transition(mean, dt[1], {}, constants), expected, 1e-15)
+    free = parameter.constraint.free(parameter.tensor()).requires_grad_()
+
+    def covariance(free: Tensor) -> Tensor:
+        own = motion.prepare({parameter.name: parameter.constraint.physical(free)})
+        deviations = motion.noise(dt, own)
+        return deviations @ deviations.mT
+
+    assert torch.autograd.gradcheck(covariance, free)
+
+
+def test_noise_of_the_states_is_named_by_state_and_of_a_shape() -> None:
+    (parameter,) = ConstantVelocity(2, "state", (1.0, 2.0, 3.0, 4.0)).parameters
+    assert parameter.entries() == [f"motion.state_sigma.{s}" for s in ("x", "y", "vx", "vy")]
+    for wrong in ((1.0, 2.0), ((1.0, 0.0), (0.0, 1.0))):
+        with pytest.raises(InputError, match=r"motion.state_sigma: found shape .*or 4 numbers"):
+            _ = ConstantVelocity(2, "state", wrong).parameters
+
+
+def turn_matrix(w: float, t: float) -> np.ndarray:
+    """Specification 4, with the states as [x, y, vx, vy]."""
+    s, c = np.sin(w * t), np.cos(w * t)
+    return np.array(
+        [[1, 0, s / w, -(1 - c) / w], [0, 1, (1 - c) / w, s / w], [0, 0, c, -s], [0, 0, s, c]]
+    )
+
+
+@pytest.mark.parametrize("dt", [0.1, 1.0, 30.0])
+@pytest.mark.parametrize("rate", [0.05, -0.3, 3.0])
+def test_a_coordinated_turn_is_the_specifications_matrix(
+    rng: np.random.Generator, rate: float, dt: float
+) -> None:
+    motion = CoordinatedTurn(2, "state", 1.0, turn_rate=rate)
+    constants = constants_of(motion)
+    f = turn_matrix(rate, dt)
+    mean, deviations = rng.standard_normal((3, 4)), rng.standard_normal((3, 4, 5))
+    found = motion.transition(tensor(mean), tensor(dt), {}, constants)
+    assert_close(found, mean @ f.T, 1e-13)
+    found = motion.propagate(tensor(mean), tensor(deviations), tensor(dt), {}, constants)
+    assert_close(found, f @ deviations, 1e-13)
+
+
+def test_a_coordinated_turn_integrates_a_velocity_that_rotates() -> None:
+    rate, dt, steps = 0.2, 3.0, 4000
+    position, velocity = np.array([1.0, -2.0]), np.array([8.0, 3.0])
+    angles = (np.arange(steps) + 0.5) * rate * dt / steps
+    cos, sin = np.cos(angles), np.sin(angles)
+    x, y = velocity
+    path = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1).sum(0) * dt / steps
+    motion = CoordinatedTurn(2, turn_rate=rate)
+    mean = tensor([*position, *velocity])
+    found = motion.transition(mean, tensor(dt), {}, constants_of(motion))
+    assert_close(found[:2], position + path, 1e-7)
+    assert float(found[2:].norm()) == pytest.approx(float(np.hypot(*velocity)))
+
+
+def test_at_rate_zero_a_turn_is_straight_and_so_is_its_limit(rng: np.random.Generator) -> None:
+    mean, dt = tensor(rng.standard_normal((5, 4))), tensor(2.5)
+    straight = ConstantVelocity(2).transition(mean, dt, {}, {})
+    for rate in (0.0, 1e-12, -1e-12):
+        motion = CoordinatedTurn(2, turn_rate=rate)
+        assert_close(motion.transition(mean, dt, {}, constants_of(motion)), straight, 1e-11)
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-5, 0.3])
+def test_a_turn_passes_gradcheck_towards_its_rate_also_at_zero(value: float) -> None:
+    motion = CoordinatedTurn(2)
+    inputs = (
+        tensor(value).requires_grad_(),
+        tensor([1.0, 2.0, 30.0, -7.0]).requires_grad_(),
+        tensor(1.7).requires_grad_(),
+    )
+
+    def move(rate: Tensor, mean: Tensor, dt: Tensor) -> Tensor:
+        return motion.transition(mean, dt, {}, {"motion.turn_rate": rate})
+
+    assert torch.autograd.gradcheck(move, inputs)
+    (gradient,) = torch.autograd.grad(move(*inputs)[2:].sum(), inputs[0])
+    assert float(gradient) != 0.0
+
+
+def test_a_turn_rate_of_the_log_overrides_the_parameter() -> None:
+    motion = CoordinatedTurn(2, turn_rate=0.7)
+    constants, mean = constants_of(motion), tensor([[1.0, 2.0, 3.0, 4.0]] * 3)
+    rates = np.array([0.1, -0.2, 0.4])
+    inputs = {"turn_rate": tensor(rates)}
+    found = motion.transition(mean, tensor([1.0, 2.0, 3.0]), inputs, constants)
+    for i, dt in enumerate((1.0, 2.0, 3.0)):
+        assert_close(found[i], turn_matrix(rates[i], dt) @ array(mean[i]), 1e-13)
+    spread = motion.propagate(
+        mean,
+        torch.eye(4).double().expand(3, 4, 4),
+        tensor(1.0),
+        inputs,
+        {"motion.turn_rate": tensor(9.0)},
+    )
+    for i, rate in enumerate(rates):
+        assert_close(spread[i], turn_matrix(rate, 1.0), 1e-13)
+
+
+def test_a_coordinated_turn_is_in_the_plane() -> None:
+    with pytest.raises(InputError, match="motion axes: found 3, expected 2 for a coordinated turn"):
+        CoordinatedTurn(3)
+
+
+def test_a_scenario_names_its_motion_model() -> None:
+    scenario = load_scenario(
+        "manoeuvre-fusion-1",
+        {
+            "motion.model": "coordinated-turn",
+            "parameters.motion.turn_rate": {"value": 0.05, "unit": "rad/s"},
+        },
+    )
+    for name, system in scenario.systems.items():
+        built = scenario.system(name)
+        assert isinstance(built, Filter), system
+        assert isinstance(built.motion, CoordinatedTurn)
+        assert float(built.published()["motion.turn_rate"]) == 0.05
+    plain = load_scenario("manoeuvre-fusion-1").system("srckf")
+    assert isinstance(plain, Filter)
+    assert type(plain.motion) is ConstantVelocity

@@ -15,6 +15,7 @@ from difffilter.scenario.scenario import load_scenario, read_scenario
 
 A, U = "airport-mlat", "uwb-ranges"
 B, ABSOLUTE = "airborne-bearing", "airborne-bearing-absolute"
+MANOEUVRE = "manoeuvre-fusion-1"
 URBAN, URBAN_2D = "urban-credibility", "urban-credibility-2d"
 TEXT, LIST, TABLE, FLAG = "north", [1.0], {"a": 1.0}, True
 HUGE = 10**400
@@ -111,6 +112,19 @@ WRONG: list[tuple[str, Any, str]] = [
     ("systems.ekf.iterations", -1, "a whole number of 0 or more"),
     ("systems.ekf.gate", "drop", "one of none, reject, reweigh, inflate"),
     ("systems.ekf.adaptation", "sage-husa", "one of none, innovation-scaling"),
+    ("systems.ekf.adaptation", ["sage-husa"], "names among innovation-scaling, credibility, ideal"),
+    ("systems.ekf.adaptation", ["strong-tracking"] * 2, "names among innovation-scaling, cred"),
+    ("systems.ekf.adaptation", [1], "a list of texts"),
+    ("systems.ekf.adaptation", 3, "one of none, innovation-scaling"),
+    ("systems.ekf.linearise", "unscented", "one of taylor, cubature"),
+    ("systems.ekf.linearise", FLAG, "one of taylor, cubature"),
+    ("systems.ekf.fusion", "central", "one of none, distributed"),
+    ("systems.chan-ls.linearise", "cubature", "no such key beside estimator = 'chan-ls'"),
+    ("systems.taylor-ls.fusion", "distributed", "no such key beside estimator = 'taylor-ls'"),
+    ("motion.model", "singer", "one of constant-velocity, coordinated-turn"),
+    ("sensors.p", {"kind": "position", "pool": "tdoa"}, "a list of texts"),
+    ("sensors.p", {"kind": "position", "pool": ["tdoa"]}, "sensors of as many channels"),
+    ("sensors.p", {"kind": "position", "pool": ["radar"]}, "other sensors among tdoa, p"),
     ("systems.ekf.estimator", "ukf", "one of filter, taylor-ls, chan-ls, chan-ekf, bear"),
     ("systems.ekf.scope", "group", "one of channel, sensor, all"),
     ("systems.ekf.scope", ["tdoa_2"], "one of channel, sensor, all"),
@@ -180,6 +194,9 @@ UNKNOWN: list[tuple[str, str]] = [
     ("world.acceleration.hihg", "high"),
     ("score_time", "score_times"),
     ("systems.m-ekf.recovry", "recovery"),
+    ("systems.m-ekf.linearize", "linearise"),
+    ("systems.m-ekf.fusin", "fusion"),
+    ("motion.modl", "model"),
     ("systems.m-ekf.distnce", "distance"),
     ("start.velocty", "velocity"),
     ("sensors.tdoa.station", "stations"),
@@ -344,6 +361,51 @@ TOGETHER: list[tuple[str, dict[str, Any], str]] = [
         URBAN,
         {"parameters.credibility.rate.value": 0.0},
         "credibility.rate: found 0.0, expected a number between 0 and 1",
+    ),
+    (
+        MANOEUVRE,
+        {"systems.fusion.sensors": ["r", "a1"]},
+        "systems.fusion: fusion: expected three sensors or more of one kind and size",
+    ),
+    (
+        MANOEUVRE,
+        {"systems.fusion.weight": "huber"},
+        "systems.fusion: fusion: expected no weight, gate, recovery or adaptation with it",
+    ),
+    (
+        MANOEUVRE,
+        {"systems.fusion.adaptation": ["strong-tracking"]},
+        "systems.fusion: fusion: expected no weight, gate, recovery or adaptation with it",
+    ),
+    (
+        MANOEUVRE,
+        {"systems.srckf.adaptation": ["strong-tracking", "multiple-fading"]},
+        "systems.srckf",
+    ),
+    (
+        MANOEUVRE,
+        {"parameters.matching.rate.value": 1.0},
+        "matching.rate.value: matching.rate: found 1.0, expected a number between 0 and 1",
+    ),
+    (
+        MANOEUVRE,
+        {"parameters.correction.lambda.value": -2.0},
+        "correction.lambda.value: correction.lambda: found -2.0, expected",
+    ),
+    (
+        MANOEUVRE,
+        {"parameters.motion.state_sigma.value": [1.0, 2.0]},
+        "motion.state_sigma: found shape [2], expected one number or 4 numbers",
+    ),
+    (
+        MANOEUVRE,
+        {"motion.noise": "discrete"},
+        "needs [parameters.motion.acceleration], found none",
+    ),
+    (
+        MANOEUVRE,
+        {"motion.model": "coordinated-turn", "world.axes": 3},
+        "expected a list of 3 numbers",
     ),
     (
         U,

@@ -87,6 +87,29 @@ def test_the_urban_experiment_runs_and_leaves_reports_figures_and_checkpoints(
     assert (tuned.system, tuned.scenario.name) == ("credibility", "urban-credibility")
 
 
+def test_the_manoeuvre_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("manoeuvre_fusion.py", tmp_path)
+    rows = report["tables"]["reference"]
+    assert [row["system"] for row in rows if row["from"] == "specification"] == [
+        "srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf", "fusion",
+    ]  # fmt: skip
+    assert len([row for row in rows if row["from"] == "here"]) == 9
+    assert len(report["tables"]["tuned"]) == 4
+    assert {row["system"] for row in report["tables"]["equal terms"]} >= {"fusion", "pooled-robust"}
+    assert len(report["claims"]) == 9
+    names = {figure["name"] for figure in report["figures"]}
+    assert names == {"figure-2-track", *(f"figure-{number}" for number in range(3, 9))}
+    for name in names:
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{name}.svg").is_file()
+    for stem in ("manoeuvre-fusion-1", "manoeuvre-fusion-2"):
+        tuned = df.load(tmp_path / f"{stem}.json")
+        assert (tuned.system, tuned.scenario.name) == ("fusion", stem)
+        assert {"matching.beta", "correction.lambda", "r.sigma"} <= set(tuned.values)
+
+
 @pytest.mark.skipif(not UWB.is_dir(), reason="no UWB recordings in ../shared/data/uwb_ranges")
 def test_the_uwb_experiment_runs_all_four_rotations(tmp_path: Path) -> None:
     report = run_quick("uwb_ranges.py", tmp_path)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from difffilter.adaptation.passive import Memory
 from difffilter.condition import Conditioned
+from difffilter.errors import InputError
 from difffilter.filter import Adaptation, Linearised
 from difffilter.parameters import Parameter, Values
 
@@ -19,10 +21,23 @@ class Chain:
     """Each hook of each part in order: the second sees what the first has made.
 
     Attributes:
-        parts: adaptations with parameters and memories of different names.
+        parts: adaptations whose memories have different names.
+
+    Raises:
+        InputError: two parts that keep the same memory.
     """
 
     parts: tuple[Adaptation, ...]
+
+    def __post_init__(self) -> None:
+        seen: set[str] = set()
+        for part in self.parts:
+            names = set(part.memory(torch.zeros(1), 1))
+            if names & seen:
+                raise InputError(
+                    f"adaptation: found two that keep {min(names & seen)}, expected one"
+                )
+            seen |= names
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
