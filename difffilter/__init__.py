@@ -1,5 +1,12 @@
 """Robust Kalman-type filters in pure PyTorch: tuned by gradient, frozen, compared, deployed."""
 
+from difffilter.adaptation import (
+    Chain,
+    InnovationMatching,
+    MultipleFading,
+    PredictionCorrection,
+    StrongTracking,
+)
 from difffilter.belief import Belief, Measurement, Record, belief
 from difffilter.checkpoint import Checkpoint, load, save
 from difffilter.compare import Comparison, compare
@@ -16,11 +23,12 @@ from difffilter.estimate import estimate, started
 from difffilter.federation import Federation
 from difffilter.filter import Filter
 from difffilter.fsp import FSP, fsp, fsp_surface, ratio_gain
+from difffilter.fusion import Fusion
 from difffilter.gate import Gate
 from difffilter.log import Log, Start, stack_logs
 from difffilter.logfile import read_log, write_log
 from difffilter.metrics import Score, nees, rejected, rmse
-from difffilter.motion import ConstantVelocity, FunctionMotion
+from difffilter.motion import ConstantVelocity, CoordinatedTurn, FunctionMotion
 from difffilter.parameters import Parameter, ParameterSet
 from difffilter.recorded import load_logs
 from difffilter.recovery import Recovery
@@ -59,26 +67,32 @@ __all__ = [
     "WEIGHTS",
     "Bearing",
     "Belief",
+    "Chain",
     "Checkpoint",
     "CheckpointError",
     "Comparison",
     "ConstantVelocity",
+    "CoordinatedTurn",
     "Credibility",
     "DifffilterError",
     "Federation",
     "Filter",
     "FunctionMotion",
     "FunctionSensor",
+    "Fusion",
     "Gate",
+    "InnovationMatching",
     "InputError",
     "Log",
     "LogError",
     "Measurement",
+    "MultipleFading",
     "NonFiniteError",
     "Parameter",
     "ParameterSet",
     "Position",
     "PositionSensor",
+    "PredictionCorrection",
     "Range",
     "Record",
     "Recovery",
@@ -86,6 +100,7 @@ __all__ = [
     "Score",
     "Start",
     "StationSensor",
+    "StrongTracking",
     "Track",
     "Tracker",
     "TuneResult",

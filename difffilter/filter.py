@@ -203,9 +203,15 @@ class Filter:
             raise InputError("weigh_prior and mad: expected iterations of 1 or more with them")
         if self.fusion is not None:
             self.fusion.check(self.sensors)
-            beside = (self.weight is not plain, self.iterations, self.gate, self.recovery)
-            if any(beside) or self.adaptation or self.federated or self.clairvoyant:
-                raise InputError("fusion: expected no weight, gate, recovery or adaptation with it")
+            beside = (
+                self.weight is not plain, self.iterations, self.gate, self.recovery,
+                self.adaptation, self.federated, self.clairvoyant, self.grouped,
+                self.distance != "rms", self.standardise != "innovation",
+            )  # fmt: skip
+            if any(beside):
+                raise InputError(
+                    "fusion: expected no weight, scope, gate, recovery or adaptation with it"
+                )
         if self.linearise not in RULES:
             raise InputError(f"linearise: found {self.linearise!r}, expected {' or '.join(RULES)}")
         if self.distance not in DISTANCES:

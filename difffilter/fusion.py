@@ -75,6 +75,10 @@ class Fusion:
         kinds = {(type(sensor), len(sensor.channels)) for sensor in sensors}
         if len(sensors) < 3 or len(kinds) > 1:
             raise InputError("fusion: expected three sensors or more of one kind and size")
+        for sensor in sensors:
+            values = {p.name: p.tensor() for p in sensor.parameters}
+            if sensor.noise(sensor.prepare(values)).common.shape[-1]:
+                raise InputError("fusion: found noise common to channels, expected independent")
 
     def start(self, filter: Filter, mean: Tensor, deviations: Tensor) -> dict[str, Tensor]:
         """Memory: the matching's, and mean and deviations of each subsystem."""

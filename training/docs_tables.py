@@ -7,7 +7,18 @@ from typing import Any
 
 from difffilter.files import write_atomically
 
-__all__ = ["AIRPORT", "BEARING", "RUNS", "URBAN", "put", "results", "uwb_row", "weight_tables"]
+__all__ = [
+    "AIRPORT",
+    "BEARING",
+    "MANOEUVRE",
+    "RUNS",
+    "URBAN",
+    "manoeuvre_row",
+    "put",
+    "results",
+    "uwb_row",
+    "weight_tables",
+]
 
 Rows = list[dict[str, Any]]
 
@@ -23,6 +34,8 @@ BEARING = {
 #: The urban comparison, and its systems and values: published, tuned, ideal.
 URBAN = "held out"
 URBAN_ROWS = (("credibility", "published"), ("credibility", "tuned"), ("ideal", "published"))
+#: Scenarios of the manoeuvre experiment.
+MANOEUVRE = {"manoeuvre-fusion-1": "turns", "manoeuvre-fusion-2": "turns, bad measurements"}
 RUNS = ("los_A1", "los_A2", "nlos_A1", "nlos_A2")
 
 
@@ -37,7 +50,11 @@ def put(page: Path, name: str, text: str) -> None:
 
 
 def results(
-    airport: dict[str, Any], bearing: dict[str, Any], urban: dict[str, Any], uwb: Rows
+    airport: dict[str, Any],
+    bearing: dict[str, Any],
+    urban: dict[str, Any],
+    manoeuvre: dict[str, Rows],
+    uwb: Rows,
 ) -> str:
     """What tuning bought: RMSE of the published, the tuned and the clairvoyant filter."""
     lines = [_compared(f"airport TDOA, {name}", airport[name], "m-ekf") for name in AIRPORT]
@@ -46,6 +63,7 @@ def results(
         for name, label in BEARING.items()
     ]
     lines += _urban(urban[URBAN])
+    lines += _manoeuvre(manoeuvre)
     for run in RUNS:
         hand = uwb_row(uwb, run, "hand-picked")
         tuned = uwb_row(uwb, run, "tuned: squared error and consistency")
@@ -106,6 +124,30 @@ def _urban(comparison: dict[str, Any]) -> list[list[str]]:
          f"{_metres(bound)} (ideal)", nees.get(label, "")]
         for label, (before, after, bound) in errors.items()
     ]  # fmt: skip
+
+
+def manoeuvre_row(tables: dict[str, Rows], scene: str, system: str) -> tuple[float, float, float]:
+    """Error of the published and the tuned values, and the NEES of the tuned ones."""
+    if system == "pooled-robust":
+        (row,) = (r for r in tables["single"] if r["scene"] == scene)
+        return row["hand-picked (m)"], row["tuned (m)"], row["NEES per state"]
+    (row,) = (r for r in tables["tuned"] if (r["scene"], r["system"]) == (scene, system))
+    return row["published (m)"], row["tuned (m)"], row["NEES tuned"]
+
+
+def _manoeuvre(tables: dict[str, Rows]) -> list[list[str]]:
+    """Fusion, the adaptive filter on one sensor, and the chain on all three as one."""
+    lines = []
+    shown = {"fusion": "fusion", "lcasrckf": "LCASRCKF", "pooled-robust": "chain, pooled"}
+    for scene, label in MANOEUVRE.items():
+        for system, name in shown.items():
+            published, tuned, nees = manoeuvre_row(tables, scene, system)
+            by_hand = " (hand-picked)" * (system == "pooled-robust")
+            lines.append(
+                [f"{label}: {name}", f"{_metres(published)}{by_hand}", _metres(tuned), "",
+                 f"{nees:.2f}"]
+            )  # fmt: skip
+    return lines
 
 
 def _rows(rows: Rows) -> str:

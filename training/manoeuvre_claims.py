@@ -18,7 +18,7 @@ def judge_claims(report: Report, one: Scene, two: Scene) -> None:
     """Every claim into the report."""
     for text, check in CLAIMS.items():
         held, numbers = check(one, two)
-        report.claim(f"paper 4: {text}", held, numbers)
+        report.claim(text, held, numbers)
 
 
 def _during(errors: Errors, first: int, last: int) -> float:
@@ -122,15 +122,16 @@ def pooled_fail(one: Scene, two: Scene) -> Verdict:
 
 
 CLAIMS: dict[str, Callable[[Scene, Scene], Verdict]] = {
-    "the fusion is lowest in scene 1 (of the filters on one sensor and it)": fusion_lowest,
-    "RMCKF and LCASRCKF are slightly worse than SRCKF while the model is right (13 to 29 s)":
-        slightly_worse_while_right,
-    "RMCKF and LCASRCKF are far better in turns and after the jump": better_in_turns,
-    "RMCKF is worse than LCASRCKF under pure model error": rmckf_worse,
-    "SRCKF, LCASRCKF and RMCKF jump at the bad measurements": all_jump,
-    "the two adaptive ones jump higher than SRCKF at 80 and 105 s": adaptive_jump_higher,
-    "the fusion is nearly flat at 10 to 12 s, with a slightly raised peak at 105 s": fusion_flat,
-    "on the pooled measurement one LCASRCKF equals the fusion in scene 1, one STF beats it "
-    "(not the paper's)": pooled_equal,
-    "on the pooled measurement both fail in scene 2 (not the paper's)": pooled_fail,
+    "paper 4: the fusion is lowest in scene 1 (of the filters on one sensor and it)": fusion_lowest,
+    "paper 4: RMCKF and LCASRCKF are slightly worse than SRCKF while the model is right (13 to "
+    "29 s)": slightly_worse_while_right,
+    "paper 4: RMCKF and LCASRCKF are far better in turns and after the jump": better_in_turns,
+    "paper 4: RMCKF is worse than LCASRCKF under pure model error": rmckf_worse,
+    "paper 4: SRCKF, LCASRCKF and RMCKF jump at the bad measurements": all_jump,
+    "paper 4: the two adaptive ones jump higher than SRCKF at 80 and 105 s": adaptive_jump_higher,
+    "paper 4: the fusion is nearly flat at 10 to 12 s, with a slightly raised peak at 105 s":
+        fusion_flat,
+    "on the pooled measurement one LCASRCKF equals the fusion in scene 1, one STF beats it":
+        pooled_equal,
+    "on the pooled measurement both fail in scene 2": pooled_fail,
 }  # fmt: skip

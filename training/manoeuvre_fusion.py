@@ -97,7 +97,7 @@ def tuned_table(
                      after.rms, before.nees, after.nees])  # fmt: skip
         if judged:
             report.claim(
-                f"{name}: tuned {system} below its published mean RMSE, interval clear of zero",
+                f"{name}: tuned {system} below its published mean RMSE, interval clear of 1",
                 high < 1.0,
                 {"tuned": after.mean, "published": before.mean, "ratio, 95 %": (low, high)},
             )
@@ -154,7 +154,9 @@ def equal_terms(report: Report, scenarios: dict[str, df.Scenario], held: dict[st
     for system in results[SCENES[0]]:
         one, two = (results[name][system] for name in SCENES)
         rows.append([system, *one.axes, *two.axes])
-    report.table("equal terms", ["system", "scene 1 x", "y", "scene 2 x", "y "], rows)
+    report.table(
+        "equal terms", ["system", "scene 1 x", "scene 1 y", "scene 2 x", "scene 2 y"], rows
+    )
 
 
 if __name__ == "__main__":

@@ -10,7 +10,18 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from docs_tables import AIRPORT, BEARING, RUNS, URBAN, put, results, uwb_row, weight_tables
+from docs_tables import (
+    AIRPORT,
+    BEARING,
+    MANOEUVRE,
+    RUNS,
+    URBAN,
+    manoeuvre_row,
+    put,
+    results,
+    uwb_row,
+    weight_tables,
+)
 from matplotlib.axes import Axes
 
 from difffilter.figures.style import COLOURS, axes_grid, save_figure
@@ -18,7 +29,14 @@ from difffilter.figures.weights import weights_figure
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"
-NAMES = ("airport-mlat", "airborne-bearing", "urban-credibility", "uwb-ranges", "weights")
+NAMES = (
+    "airport-mlat",
+    "airborne-bearing",
+    "urban-credibility",
+    "manoeuvre-fusion",
+    "uwb-ranges",
+    "weights",
+)
 
 
 def main() -> int:
@@ -37,14 +55,17 @@ def main() -> int:
     bearing = reports["airborne-bearing"]["comparisons"]
     urban = reports["urban-credibility"]["comparisons"]
     uwb = reports["uwb-ranges"]["tables"]["held-out runs"]
-    figure, axes = axes_grid(2, 2, width=6.2, height=3.8)
+    manoeuvre = reports["manoeuvre-fusion"]["tables"]
+    figure, axes = axes_grid(3, 2, width=6.2, height=3.8)
     draw_airport(axes[0], airport[AIRPORT[0]]["rows"])
     draw_bearing(axes[1], bearing)
     draw_urban(axes[2], urban[URBAN]["rows"])
     draw_uwb(axes[3], uwb)
+    draw_manoeuvre(axes[4], manoeuvre)
+    draw_equal_terms(axes[5], manoeuvre["equal terms"])
     save_figure(figure, IMAGES / "results")
     save_figure(weights_figure(), IMAGES / "weights")
-    put(ROOT / "README.md", "results", results(airport, bearing, urban, uwb))
+    put(ROOT / "README.md", "results", results(airport, bearing, urban, manoeuvre, uwb))
     put(ROOT / "docs" / "weights.md", "weights", weight_tables(reports["weights"]))
     return 0
 
@@ -123,6 +144,55 @@ def draw_uwb(ax: Axes, rows: list[dict[str, Any]]) -> None:
     ax.set_xticks(range(4), RUNS)
     ax.set(ylabel="horizontal RMSE (m), held out", title="Recorded UWB ranges, run left out")
     ax.legend(fontsize=8)
+
+
+def draw_manoeuvre(ax: Axes, tables: dict[str, list[dict[str, Any]]]) -> None:
+    """Published and tuned values of three filters in both scenes."""
+    names = {
+        "lcasrckf": "LCASRCKF, one sensor",
+        "pooled-robust": "chain, three as one",
+        "fusion": "fusion, three sensors",
+    }
+    pairs = {}
+    for scene, label in MANOEUVRE.items():
+        for system, name in names.items():
+            pairs[f"{label}:\n{name}"] = manoeuvre_row(tables, scene, system)[:2]
+    series = (("published or hand-picked", COLOURS["published"]), ("tuned", COLOURS["tuned"]))
+    _dumbbells(ax, pairs, series)
+    ax.set_title("Manoeuvres and bad measurements")
+
+
+def draw_equal_terms(ax: Axes, rows: list[dict[str, Any]]) -> None:
+    """Every filter on all three sensors: clean measurements against bad ones."""
+    pairs = {}
+    for row in rows:
+        clean, bad = ((row[f"scene {n} x"] + row[f"scene {n} y"]) / 2.0 for n in (1, 2))
+        name = row["system"].removesuffix(" (pooled)")
+        pairs["chain" if name == "pooled-robust" else name] = (clean, bad)
+    series = (("turns", COLOURS["other"]), ("turns, bad measurements", COLOURS["published"]))
+    _dumbbells(ax, pairs, series)
+    ax.set_title("The same, all on three sensors, before tuning")
+
+
+def _dumbbells(
+    ax: Axes, pairs: dict[str, tuple[float, float]], series: tuple[tuple[str, str], ...]
+) -> None:
+    """Two points per row, joined, on a logarithmic scale."""
+    for place, (one, two) in enumerate(pairs.values()):
+        ax.plot((one, two), (place, place), "-", color=COLOURS["other"], lw=1.0)
+        right = max(one, two)
+        ax.text(right * 1.09, place, f"{right:.3g}", fontsize=8, va="center")
+        ax.text(min(one, two) / 1.09, place, f"{min(one, two):.3g}", fontsize=8, va="center",
+                ha="right")  # fmt: skip
+    for i, (label, colour) in enumerate(series):
+        values = [pair[i] for pair in pairs.values()]
+        ax.plot(values, range(len(values)), "o", ms=7, label=label, color=colour)
+    ax.set_yticks(range(len(pairs)), list(pairs), fontsize=8)
+    ax.set(xscale="log", xlim=(2.5, 150.0), xlabel="RMSE of x and y, mean over time (m), held out")
+    ax.set_xticks((5, 10, 20, 50, 100), ("5", "10", "20", "50", "100"))
+    ax.set_xticks([], minor=True)
+    ax.set_ylim(-0.6, len(pairs) + 0.3)
+    ax.legend(fontsize=8, ncols=2, loc="upper center")
 
 
 if __name__ == "__main__":

@@ -49,6 +49,11 @@ class Chain:
         """Whether a part needs what only a simulation knows."""
         return any(getattr(part, "ideal", False) for part in self.parts)
 
+    @property
+    def independent_noise(self) -> bool:
+        """Whether a part needs channels of independent noise."""
+        return any(getattr(part, "independent_noise", False) for part in self.parts)
+
     def memory(self, mean: Tensor, channels: int) -> dict[str, Tensor]:
         """Those of all parts."""
         return {k: v for part in self.parts for k, v in part.memory(mean, channels).items()}

@@ -11,6 +11,7 @@ from typing import Any
 from difffilter.errors import InputError
 from difffilter.metrics import SCORES, Score
 from difffilter.parameters import Parameter
+from difffilter.position_sensor import Position
 from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
 from difffilter.scenario.faults import Fault, read_fault
 from difffilter.scenario.pooling import pooled_sigma
@@ -189,8 +190,7 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
         if sensor.every > 1 and world is None:
             top.table("sensors").table(name).fail("every", "none in a scenario without [world]")
     systems = {
-        name: read_system(name, part, tuple(sensors))
-        for name, part in top.table("systems").children()
+        name: read_system(name, part, sensors) for name, part in top.table("systems").children()
     }
     if not systems:
         top.fail("systems", "one system or more")
@@ -241,6 +241,8 @@ def _pooled(
             part.fail("pool", f"other sensors among {', '.join(sensors)}")
         if len(sensors[member].model.channels) != len(sensor.model.channels):
             part.fail("pool", "sensors of as many channels")
+        if not isinstance(sensors[member].model, Position):
+            part.fail("pool", "sensors of kind position")
     sigma = pooled_sigma([sensors[member] for member in sensor.pool])
     return replace(sensor, sigma=sigma, model=replace(sensor.model, sigma=sigma))
 

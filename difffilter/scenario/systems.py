@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from difffilter.adaptation import (
@@ -156,8 +156,9 @@ def read_motion(table: Table) -> MotionSpec:
     return spec
 
 
-def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
-    """Read ``[systems.NAME]``."""
+def read_system(name: str, table: Table, sensors: Mapping[str, SensorSpec]) -> SystemSpec:
+    """Read ``[systems.NAME]``; by default it uses every sensor that is not pooled of others."""
+    own = tuple(name for name, sensor in sensors.items() if not sensor.pool)
     spec = SystemSpec(
         name,
         f"{table.where}: {table.path}",
@@ -178,7 +179,7 @@ def read_system(name: str, table: Table, sensors: Sequence[str]) -> SystemSpec:
         table.text("fusion", "none", choices=FUSIONS),
         table.flag("clairvoyant"),
         table.flag("common_noise"),
-        table.names("sensors", tuple(sensors)),
+        table.names("sensors", own),
         _read_values(table.table("values", optional=True)),
         table.text("note", ""),
     )
