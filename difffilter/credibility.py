@@ -36,8 +36,8 @@ class Credibility:
         gamma_i ~ a_i (R'_i + floor)^-p     sum gamma_i = 1 (paper 2, eq. 10: p 1, floor 0)
         system i counts gamma_i I,  I = (1 - f) sum t_j + f sum t_j R_j / R'_j
 
-    (f ``followed``: 0 conserves the total information) and a_i = t_i R_i, which is the same for
-    all systems that measure the same thing. That gamma shares out the measurement
+    (f ``followed``: 0 conserves the total information) and a_i the sum of g, which is the same
+    for all systems that measure the same thing. That gamma shares out the measurement
     information is a reading of the paper: as it stands, gamma only sets the shares of a
     federated filter, on which its fused estimate does not depend.
 

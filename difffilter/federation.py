@@ -41,7 +41,8 @@ class Federation:
     shares: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        if len(self.shares) < 2 or min(self.shares) <= 0 or abs(sum(self.shares) - 1) > 1e-9:
+        positive = all(share > 0.0 for share in self.shares)  # False for NaN
+        if len(self.shares) < 2 or not positive or abs(sum(self.shares) - 1) > 1e-9:
             raise InputError(
                 f"shares: found {list(self.shares)}, expected two or more above 0 whose sum is 1"
             )

@@ -261,7 +261,7 @@ class Filter:
 
     @property
     def centralised(self) -> Filter:
-        """The same filter without local ones: the same estimates in a third of the time."""
+        """The same filter without local ones: the same estimates while nothing is isolated."""
         return replace(self, federated=False, shares=()) if self.federated else self
 
     @cached_property

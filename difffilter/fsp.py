@@ -16,7 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from difffilter.errors import InputError
-from difffilter.estimate import estimate, started
+from difffilter.estimate import estimate, lean, started
 from difffilter.filter import Filter
 from difffilter.log import Log
 from difffilter.metrics import bootstrap_indices, position_error, scored_rows
@@ -66,7 +66,7 @@ def fsp(
     """
     chosen = scenario.system(system)
     if isinstance(chosen, Filter):
-        chosen = chosen.centralised
+        chosen = lean(chosen, log.only(chosen.channels))
     track = estimate(chosen, started(scenario, chosen, log, values), values)
     rows = scored_rows(log, track, scenario.score)
     squared = torch.where(rows, position_error(log, track), 0.0)

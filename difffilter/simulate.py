@@ -64,7 +64,7 @@ def simulate(
         z, added_mean, added_variance = fault.strike(z, scenario.channels, generator)
         mean, variance = mean + added_mean, variance + added_variance
     z, weights = pooled(scenario.sensors, scenario.channels, z)
-    mean, variance = mean @ weights.mT, variance @ weights.square().mT
+    mean, variance = _shared(mean, weights), _shared(variance, weights.square())
     return Log(
         channels=scenario.channels,
         time=world.dt * torch.arange(1, world.steps + 1, dtype=torch.float64),
@@ -92,3 +92,9 @@ def _start(scenario: Scenario, state: torch.Tensor, seed: int, purpose: str) -> 
     sigma = [scenario.start.position_sigma] * axes + [scenario.start.velocity_sigma] * axes
     noise = torch.randn(state.shape, generator=stream(seed, purpose, "start"), dtype=torch.float64)
     return Start(state + torch.tensor(sigma, dtype=torch.float64) * noise, None, 0.0)
+
+
+def _shared(x: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    """Weighted sums over channels (..., m); an infinite entry counts only where it has weight."""
+    parts = torch.where(weights > 0.0, x.unsqueeze(-2) * weights, 0.0)
+    return parts.sum(-1)

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from helpers import Array, STATIONS, tensor
+from helpers import STATIONS, Array, tensor
 from torch import Tensor
 
 from difffilter.credibility import Credibility
 from difffilter.filter import Filter
 from difffilter.log import Log, Start
 from difffilter.motion import ConstantVelocity
-from difffilter.sensor import FunctionSensor, Inputs
 from difffilter.parameters import Values
+from difffilter.sensor import FunctionSensor, Inputs
 from difffilter.sensors import TDOA, Position, Range
 
 MOTION = ConstantVelocity(2, acceleration=(2.0, 6.0))
@@ -75,10 +75,11 @@ def log_of(filter: Filter, rng: np.random.Generator, steps: int = 12, runs: int 
 
 
 def broken(name: str, value: float) -> FunctionSensor:
-    """Position in two channels; ``value`` where the log's input ``broken`` is 1."""
+    """Position in two channels, times ``value`` where the log's input ``broken`` is 1."""
 
     def function(state: Tensor, inputs: Inputs, values: Values) -> Tensor:
-        return torch.where(inputs["broken"] > 0.0, value, state[..., :2])
+        factor = torch.where(inputs["broken"] > 0.0, tensor(value), tensor(1.0))
+        return factor * state[..., :2]
 
     return FunctionSensor((f"{name}_1", f"{name}_2"), function, 3.0, name=name)
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from difffilter.constraints import (
     Above,
     Below,
+    Bounded,
     Constraint,
     Covariance,
     Interval,
@@ -148,6 +149,53 @@ def test_a_value_under_differentiation_is_checked_without_a_warning(
         assert constraint.admits(constraint.physical(free))
     finally:
         torch.set_warn_always(False)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "values"),
+    [
+        (Bounded(), (0.0, 1e-9, 3.0, 1e9)),
+        (Bounded(scale=10.0), (0.0, 4.0)),
+        (Bounded(high=1.0, scale=0.3), (0.0, 0.25, 1.0)),
+        (Bounded(-2.0, 5.0), (-2.0, 0.0, 5.0)),
+    ],
+)
+def test_bounded_admits_its_bounds_and_brings_values_back(
+    constraint: Bounded, values: tuple[float, ...]
+) -> None:
+    physical = tensor(values)
+    assert constraint.admits(physical)
+    assert_close(constraint.physical(constraint.free(physical)), physical, 1e-15)
+    assert constraint.free(physical).tolist() == pytest.approx(
+        (physical / constraint.scale).tolist()
+    )
+
+
+@given(free=st.floats(-50, 50), scale=st.floats(0.1, 20))
+def test_bounded_clips_and_what_it_gives_is_admitted(free: float, scale: float) -> None:
+    constraint = Bounded(-1.0, 2.0, scale)
+    found = constraint.physical(tensor(free))
+    assert constraint.admits(found)
+    assert float(found) == pytest.approx(min(max(scale * free, -1.0), 2.0), abs=1e-12)
+
+
+@pytest.mark.parametrize("free", [-3.0, 0.0, 0.2, 1 / 0.3, 9.0])
+def test_a_value_on_a_bound_of_bounded_can_leave_it_again(free: float) -> None:
+    """The gradient is that of the unclipped number, on the bound and beyond."""
+    constraint = Bounded(high=1.0, scale=0.3)
+    leaf = tensor(free).requires_grad_()
+    (gradient,) = torch.autograd.grad(constraint.physical(leaf), leaf)
+    assert float(gradient) == pytest.approx(0.3)
+
+
+def test_bounded_refuses_what_lies_outside_and_says_what_it_expects() -> None:
+    constraint = Bounded(high=1.0)
+    for value in (-1e-12, 1.0 + 1e-12, float("nan"), float("inf")):
+        assert not constraint.admits(tensor(value))
+    assert not Bounded().admits(tensor(-1e-300))
+    assert not Bounded().admits(tensor([1.0, float("inf")]))
+    assert constraint.expected() == "a number from 0 to 1"
+    assert Bounded(low=2.0).expected() == "a number of 2 or more"
 
 
 def test_a_random_covariance_survives_the_round_trip(rng: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from federated_cases import Line, line, random_shares
-from helpers import Array, STATIONS, array, assert_close, tensor
+from helpers import STATIONS, Array, array, assert_close, tensor
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles import federated as oracle
@@ -130,7 +130,9 @@ def test_the_published_point_is_equation_10() -> None:
     assert_close(found, gamma, 1e-14)
 
 
-def shares_of(systems: int, geometry: Tensor, averaged: Tensor, present: Tensor, p: float) -> Tensor:
+def shares_of(
+    systems: int, geometry: Tensor, averaged: Tensor, present: Tensor, p: float
+) -> Tensor:
     mapping = Credibility(tuple((i,) for i in range(systems)), 1)
     values = {"credibility.power": tensor(p), "credibility.floor": tensor(0.3)}
     return mapping.shares(geometry, averaged, present, values)
@@ -167,7 +169,9 @@ def test_a_worse_system_is_given_less(data: st.DataObject, scale: float, p: floa
     assert float(after[1] / after[2]) == pytest.approx(float(before[1] / before[2]), rel=1e-9)
 
 
-def weight_and_gradients(made: Line, z: Tensor, memory: dict[str, Tensor]) -> tuple[Tensor, list[Tensor]]:
+def weight_and_gradients(
+    made: Line, z: Tensor, memory: dict[str, Tensor]
+) -> tuple[Tensor, list[Tensor]]:
     """Effective weights of one step from the record, and every gradient of the posterior."""
     filter = made.filter
     inside = filter.published() | {"credibility.kappa": tensor(5.0)}
@@ -178,8 +182,9 @@ def weight_and_gradients(made: Line, z: Tensor, memory: dict[str, Tensor]) -> tu
     after, record = step(filter, constants, start, Measurement(z, tensor(0.2)))
     again, _ = step(filter, constants, after, Measurement(z, tensor(0.2)))
     total = again.mean.square().sum() + again.covariance.sum()
-    used = [v for v in values.values()]
-    gradients = torch.autograd.grad(total, used, allow_unused=True, materialize_grads=True)
+    gradients = torch.autograd.grad(
+        total, list(values.values()), allow_unused=True, materialize_grads=True
+    )
     weight = (filter.published()["p1.sigma"].square(), filter.published()["p2.sigma"].square())
     return torch.stack(weight) / record.noise.detach(), list(gradients)
 
@@ -200,6 +205,22 @@ def test_weights_and_gradients_are_finite_at_zero_errors_and_absent_systems(
     weight, gradients = weight_and_gradients(made, tensor(measured), memory)
     assert bool(weight.isfinite().all())
     assert bool((weight > 0.0).all())
+    assert all(bool(g.isfinite().all()) for g in gradients)
+
+
+@pytest.mark.parametrize("power", [1.0, 40.0, 400.0])
+def test_weights_and_gradients_are_finite_where_a_share_vanishes(
+    rng: np.random.Generator, power: float
+) -> None:
+    """gamma underflows to 0: R would be infinite."""
+    made = line(rng)
+    values = made.filter.published() | {"credibility.power": tensor(power)}
+    leaves = {name: value.requires_grad_() for name, value in values.items()}
+    track = run(made.filter, made.log, leaves)
+    assert track.record is not None
+    assert bool(track.record.noise.isfinite().all())
+    total = track.mean.square().mean() + track.covariance.sum()
+    gradients = torch.autograd.grad(total, list(leaves.values()))
     assert all(bool(g.isfinite().all()) for g in gradients)
 
 

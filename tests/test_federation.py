@@ -16,6 +16,7 @@ from oracles import kinematics
 from torch import Tensor
 
 from difffilter.belief import Measurement, belief
+from difffilter.condition import condition
 from difffilter.errors import InputError
 from difffilter.estimate import estimate
 from difffilter.federation import Federation
@@ -62,6 +63,24 @@ def test_a_federated_filter_estimates_what_the_central_one_does(
     assert not found.record.isolated.any()
 
 
+@pytest.mark.parametrize("systems", [((0, 1), (2,)), ((0,), (1,), (2,)), ((2, 0), (1,))])
+def test_everything_about_an_update_is_the_central_one(
+    rng: np.random.Generator, systems: tuple[tuple[int, ...], ...]
+) -> None:
+    """Shift, covariance, residuals and what is left of the predicted measurement's."""
+    rows, observed = tensor(rng.standard_normal((5, 4, 4))), tensor(rng.standard_normal((5, 3, 4)))
+    innovation, noise = tensor(rng.standard_normal((5, 3))), tensor(rng.uniform(0.5, 4, (5, 3)))
+    weight = tensor(rng.uniform(0.1, 1, (5, 3)))
+    weight[2, 1] = 0.0
+    expected = condition(rows, observed, innovation, weight, noise)
+    federation = Federation(random_shares(rng, len(systems)))
+    found = federation.condition(rows, observed, innovation, weight, noise, systems)
+    assert_close(found.shift, expected.shift, 1e-11)
+    assert_close(found.residual, expected.residual, 1e-11)
+    joint, reference = (torch.cat([x.deviations, x.observed], -2) for x in (found, expected))
+    assert_close(joint @ joint.mT, reference @ reference.mT, 1e-11)
+
+
 @settings(max_examples=25)
 @given(data=st.data())
 def test_the_shares_never_move_an_estimate(data: st.DataObject) -> None:
@@ -88,7 +107,8 @@ def test_the_shares_do_not_matter_to_the_textbooks_federated_filter_nor_to_ours(
         z, dt = 10.0 * rng.standard_normal((count, 2)), rng.uniform(0.1, 0.8)
         rows = np.eye(2, 4)
         systems = [
-            (rows, np.diag(np.square(sensor.sigma)), y) for sensor, y in zip(sensors, z, strict=True)
+            (rows, np.diag(np.square(sensor.sigma)), y)
+            for sensor, y in zip(sensors, z, strict=True)
         ]
         matrices = (kinematics.transition(2, dt), kinematics.discrete_noise(2.25 * np.eye(2), dt))
         central = oracle.central_step(mean, covariance, *matrices, systems)
@@ -108,8 +128,9 @@ def test_the_theorem_holds_in_the_urban_scenario() -> None:
         expected = estimate(scenario.system(name), log)
         uneven = scenario.with_overrides({f"systems.{name}.shares": [0.03, 0.97]})
         same(estimate(uneven.system(name), log), expected)
-        assert isinstance(central := scenario.system(name), Filter)
-        same(estimate(central.centralised, log), expected)
+        filter = scenario.system(name)
+        assert isinstance(filter, Filter)
+        same(estimate(filter.centralised, log), expected)
 
 
 @pytest.mark.parametrize("name", ["two positions", "common noise", "four"])
@@ -160,9 +181,8 @@ def test_one_trajectory_is_its_place_in_the_batch(rng: np.random.Generator) -> N
     log = log_of(filter, rng)
     batch = run(filter, log)
     assert log.start is not None
-    alone = replace(
-        log, z=log.z[:, 1], truth=None, truth_states=(), start=replace(log.start, mean=log.start.mean[1])
-    )  # fmt: skip
+    start = replace(log.start, mean=log.start.mean[1])
+    alone = replace(log, z=log.z[:, 1], truth=None, truth_states=(), start=start)
     assert_close(run(filter, alone).mean, batch.mean[:, 1], 1e-13)
 
 

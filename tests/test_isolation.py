@@ -78,7 +78,9 @@ def test_a_sensor_that_is_not_finite_is_left_out_named_and_taken_back(
 
 def test_a_central_filter_says_where_it_is_not_finite(rng: np.random.Generator) -> None:
     filter, log = pair(rng, torch.nan)
-    with pytest.raises(NonFiniteError, match="innovation is not finite: trajectory 0, step 2, chan"):
+    with pytest.raises(
+        NonFiniteError, match="innovation is not finite: trajectory 0, step 2, chan"
+    ):
         run(filter.centralised, log)
 
 

@@ -14,13 +14,18 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.log import Log
 from difffilter.losses import LOSSES, LossContext, total_loss
-from difffilter.metrics import nees, nees_states, nis_per_channel, rmse
+from difffilter.metrics import nees, nees_states, nis_per_channel, position_error, rmse
 from difffilter.parameters import Values
 from difffilter.run import Track, run
 
-LOG = airport_log(25, 4, seed=8)
-TRACK = run(FILTERS["m-ekf"], LOG)
-CONTEXT = LossContext()
+BARE = airport_log(25, 4, seed=8)
+TRACK = run(FILTERS["m-ekf"], BARE)
+#: Squared errors of another filter: in the first scene better, in the second worse.
+REFERENCE = (
+    position_error(BARE, TRACK) * torch.cat([tensor([0.8] * 10), tensor([2.0] * 15)])[:, None]
+)
+LOG = replace(BARE, inputs={"reference.squared": REFERENCE})
+CONTEXT = LossContext(scenes=((1, 10), (11, 25)))
 NAN = torch.nan
 
 
@@ -171,3 +176,52 @@ def test_unknown_losses_and_estimators_without_records_are_refused() -> None:
     for name in ("likelihood", "innovation-consistency"):
         with pytest.raises(InputError, match=f"{name}: expected a filter with records"):
             total_loss({name: 1.0}, bare, LOG, CONTEXT)
+
+
+def by_hand(
+    errors: list[float], reference: list[float], scenes: tuple[tuple[int, int], ...]
+) -> float:
+    """Loss ``scenes`` of made-up errors along x: one trajectory, one row per error."""
+    steps = len(errors)
+    log = replace(
+        BARE.rows(0, steps).select([0]),
+        truth=torch.zeros(steps, 1, 4).double(),
+        inputs={"reference.squared": tensor(reference).square()[:, None]},
+    )
+    mean = torch.zeros(steps, 1, 4).double()
+    mean[:, 0, 0] = tensor(errors)
+    track = replace(TRACK, mean=mean, deviations=TRACK.deviations[:steps, :1], record=None)
+    return float(loss("scenes", track, log, LossContext(scenes=scenes)))
+
+
+def test_scenes_is_the_mean_log_rmse_of_the_scenes() -> None:
+    """Whatever the scenes' scale and length: each counts alike."""
+    scenes = ((1, 2), (3, 7))
+    errors, reference = [3.0, -3.0] + [0.1] * 5, [6.0] * 2 + [0.4] * 5
+    expected = 0.5 * (math.log(3.0) + math.log(0.1))
+    assert by_hand(errors, reference, scenes) == pytest.approx(expected, rel=1e-12)
+    assert by_hand([0.5 * e for e in errors], reference, scenes) == pytest.approx(
+        expected - math.log(2.0), rel=1e-12
+    )
+    mixed = by_hand([3.0, 4.0], [10.0, 10.0], ((1, 2),))
+    assert mixed == pytest.approx(0.5 * math.log(12.5), rel=1e-12)
+
+
+def test_a_scene_that_gets_worse_pays_and_one_that_gets_better_is_not_paid() -> None:
+    """Hinge 2 log(RMSE / reference) on each scene that is worse, 0 on the others."""
+    scenes, reference = ((1, 2), (3, 4)), [2.0] * 4
+    expected = 0.5 * (math.log(3.0) + math.log(0.5)) + 2.0 * math.log(1.5)
+    assert by_hand([3.0, 3.0, 0.5, 0.5], reference, scenes) == pytest.approx(expected, rel=1e-12)
+    both = 0.5 * (math.log(3.0) + math.log(4.0)) + 2.0 * (math.log(1.5) + math.log(2.0))
+    assert by_hand([3.0, 3.0, 4.0, 4.0], reference, scenes) == pytest.approx(both, rel=1e-12)
+    # A gain that is paid for with the same factor elsewhere is a loss.
+    traded = by_hand([1.0, 1.0, 4.0, 4.0], reference, scenes)
+    assert traded > by_hand([2.0] * 4, reference, scenes) + 1.0
+
+
+def test_scenes_needs_scenes_and_the_reference_of_whole_trajectories() -> None:
+    message = r"loss scenes: needs a scenario with \[\[scenes\]\], whole trajectories"
+    with pytest.raises(InputError, match=message):
+        loss("scenes", context=LossContext())
+    with pytest.raises(InputError, match=message):
+        loss("scenes", log=BARE)

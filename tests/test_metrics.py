@@ -16,6 +16,7 @@ from difffilter.log import Log, stack_logs
 from difffilter.metrics import (
     Score,
     bootstrap_interval,
+    mean_nees,
     nees,
     nees_states,
     nis_per_channel,
@@ -100,6 +101,34 @@ def test_nees_is_numpys() -> None:
     error, covariance = error[..., :2, :], covariance[..., :2, :2]
     position = (np.swapaxes(error, -1, -2) @ np.linalg.solve(covariance, error))[..., 0, 0]
     assert_close(array(nees(log, TRACK, per_position=True))[rows], position[rows], 1e-10)
+
+
+def test_nees_is_nan_where_the_covariance_is_singular_and_the_mean_leaves_it_out() -> None:
+    deviations = TRACK.deviations.clone()
+    deviations[3, 1] = 0.0
+    deviations[7, 0, 2] = 0.0
+    track = replace(TRACK, deviations=deviations)
+    found, full = nees(LOG, track), nees(LOG, TRACK)
+    singular = torch.zeros_like(found, dtype=torch.bool)
+    singular[3, 1] = singular[7, 0] = True
+    assert torch.equal(found.isnan(), singular)
+    assert torch.equal(found[~singular], full[~singular])
+    rows = torch.ones_like(singular)
+    expected = float(full[~singular].mean()) / 4
+    assert float(mean_nees(LOG, track, rows)) == pytest.approx(expected, rel=1e-12)
+    rows[10:] = False
+    expected = float(full[:10][~singular[:10]].mean()) / 4
+    assert float(mean_nees(LOG, track, rows)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_gradient_of_the_mean_nees_is_finite_beside_a_singular_covariance() -> None:
+    mask = torch.ones_like(TRACK.deviations)
+    mask[3, 1] = 0.0
+    scale = tensor(1.0).requires_grad_()
+    track = replace(TRACK, deviations=TRACK.deviations * mask * scale)
+    value = mean_nees(LOG, track, torch.ones_like(LOG.measured))
+    (gradient,) = torch.autograd.grad(value, scale)
+    assert float(gradient) == pytest.approx(-2.0 * float(value.detach()), rel=1e-9)
 
 
 def test_nees_covers_the_true_states_that_the_system_estimates() -> None:

@@ -15,6 +15,7 @@ from difffilter.scenario.scenario import load_scenario, read_scenario
 
 A, U = "airport-mlat", "uwb-ranges"
 B, ABSOLUTE = "airborne-bearing", "airborne-bearing-absolute"
+URBAN, URBAN_2D = "urban-credibility", "urban-credibility-2d"
 TEXT, LIST, TABLE, FLAG = "north", [1.0], {"a": 1.0}, True
 HUGE = 10**400
 
@@ -120,6 +121,16 @@ WRONG: list[tuple[str, Any, str]] = [
     ("systems.ekf.values", {"tdoa.sigma": TEXT}, "a number, a list of numbers or a matrix"),
     ("systems.ekf.values", {"tdoa.sigma": []}, "a number, a list of numbers or a matrix"),
     ("systems.ekf.clairvoyant", 0, "true or false"),
+    ("systems.ekf.federated", "yes", "true or false"),
+    ("systems.ekf.federated", True, "two sensors or more with it"),
+    ("systems.ekf.adaptation", "credibility", "two sensors or more with credibility"),
+    ("systems.ekf.adaptation", "ideal-credibility", "two sensors or more with credibility"),
+    ("systems.ekf.shares", [0.5, TEXT], "a list of numbers"),
+    ("systems.chan-ls.federated", True, "no such key beside estimator = 'chan-ls'"),
+    ("systems.taylor-ls.shares", [0.5, 0.5], "no such key beside estimator = 'taylor-ls'"),
+    ("sensors.tdoa.every", 0, "a whole number of 1 or more"),
+    ("sensors.tdoa.every", 2.0, "a whole number of 1 or more"),
+    ("world.ideal_process", TABLE, "an array of tables"),
     ("systems.ekf.sensors", ["radar"], "names among tdoa"),
     ("systems.ekf.sensors", [], "one name or more, none twice"),
     ("systems.ekf.sensors", ["tdoa", "tdoa"], "one name or more, none twice"),
@@ -272,6 +283,68 @@ TOGETHER: list[tuple[str, dict[str, Any], str]] = [
         "[world.platform]: platform_x, platform_y",
     ),
     (ABSOLUTE, {"world.platform.jumps": []}, "world.platform.jumps: unknown key"),
+    (
+        URBAN,
+        {"systems.standard.shares": [0.5, 0.3, 0.2]},
+        "systems.standard: shares: found 3, expected 2, one for each sensor",
+    ),
+    (URBAN, {"systems.standard.shares": [0.5, 0.6]}, "systems.standard: shares: found [0.5, 0.6],"),
+    (
+        URBAN,
+        {"systems.more": {"shares": [0.5, 0.5]}},
+        "systems.more: shares: expected federated with them",
+    ),
+    (
+        URBAN,
+        {"systems.credibility.common_noise": True},
+        "systems.credibility.adaptation: found 'credibility', expected no credibility together "
+        "with common_noise",
+    ),
+    (
+        URBAN,
+        {"systems.credibility.sensors": ["position_2"]},
+        "systems.credibility.adaptation: found 'credibility', expected two sensors or more",
+    ),
+    (
+        URBAN,
+        {"systems.standard.sensors": ["position_2"]},
+        "systems.standard.federated: found True, expected two sensors or more with it",
+    ),
+    (
+        URBAN,
+        {"world.ideal_process": [{"first": 9, "last": 8, "acceleration": 3.0}]},
+        "world.ideal_process[0].last: found 8, expected a step of first = 9 or later",
+    ),
+    (
+        URBAN,
+        {"world.ideal_process": [{"first": 0, "last": 8, "acceleration": 3.0}]},
+        "world.ideal_process[0].first: found 0, expected a whole number of 1 or more",
+    ),
+    (
+        URBAN,
+        {"world.ideal_process": [{"first": 1, "last": 8, "acceleration": 0.0}]},
+        "world.ideal_process[0].acceleration: found 0.0, expected a number above 0",
+    ),
+    (
+        URBAN,
+        {"world.ideal_process": [{"first": 1, "last": 8, "accel": 3.0}]},
+        "world.ideal_process[0].acceleration: found nothing",
+    ),
+    (
+        URBAN,
+        {"parameters.credibility.followed.value": 1.5},
+        "credibility.followed: found 1.5, expected a number from 0 to 1",
+    ),
+    (
+        URBAN,
+        {"parameters.credibility.floor.value": -1.0},
+        "credibility.floor: found -1.0, expected a number of 0 or more",
+    ),
+    (
+        URBAN,
+        {"parameters.credibility.rate.value": 0.0},
+        "credibility.rate: found 0.0, expected a number between 0 and 1",
+    ),
     (
         U,
         {"faults.f": {"kind": "dropout"}},

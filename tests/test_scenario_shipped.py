@@ -17,6 +17,10 @@ from difffilter.scenario.document import apply_overrides, parse_override, read_d
 from difffilter.scenario.scenario import load_scenario
 
 BEARING_SYSTEMS = "ls weighted-ls ekf robust robust-noise gated clairvoyant"
+MANOEUVRE_SYSTEMS = (
+    "srckf robust-srckf lcasrckf stf-srckf rmckf fusion "
+    "pooled-lcasrckf pooled-stf-srckf pooled-robust"
+)
 SYSTEMS = {
     "airport-mlat": "taylor-ls chan-ls ekf chan-ekf adaptive-ekf huber m-ekf m-ekf-all-rows "
     "m-ekf-mad clairvoyant",
@@ -29,6 +33,11 @@ SYSTEMS = {
     "airborne-bearing-matched": BEARING_SYSTEMS,
     "airborne-bearing-multipath": BEARING_SYSTEMS,
     "gate-lockout": "ekf gated gated-widen gated-inflate clairvoyant",
+    "manoeuvre-fusion-1": MANOEUVRE_SYSTEMS,
+    "manoeuvre-fusion-2": MANOEUVRE_SYSTEMS,
+    "urban-credibility": "standard credibility ideal",
+    "urban-credibility-2d": "standard credibility ideal",
+    "urban-credibility-faulty": "standard credibility ideal good good-standard clairvoyant",
 }
 NS = 0.299792458
 
@@ -39,8 +48,9 @@ def test_every_shipped_scenario_loads_and_every_system_builds(name: str) -> None
     assert scenario.name == name
     assert scenario.title
     assert scenario.notes
-    for system in scenario.systems:
-        assert scenario.system(system).channels == scenario.channels
+    for system, spec in scenario.systems.items():
+        parts = [scenario.sensors[sensor].model.channels for sensor in spec.sensors]
+        assert scenario.system(system).channels == tuple(c for part in parts for c in part)
     tuned = scenario.system()
     assert isinstance(tuned, Filter)
     assert any(parameter.tuned for parameter in tuned.declarations.values())

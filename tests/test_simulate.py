@@ -33,7 +33,9 @@ def exact(log: Log) -> np.ndarray:
 def parts(log: Log) -> list[Tensor]:
     assert log.truth is not None
     assert log.start is not None
-    return [log.z, log.truth, log.time, log.start.mean, *log.inputs.values()]
+    # The ideal process noise is NaN where it is the filter's own.
+    inputs = [value.nan_to_num(-1.0) for value in log.inputs.values()]
+    return [log.z, log.truth, log.time, log.start.mean, *inputs]
 
 
 def test_the_same_seed_gives_the_same_log_whatever_the_global_generator() -> None:
@@ -209,3 +211,60 @@ def test_the_log_can_be_cut_and_keeps_what_a_clairvoyant_is_told() -> None:
         assert torch.equal(part.inputs[name], log.inputs[name][:, [4, 1]])
     assert part.names == (log.names[4], log.names[1])
     assert replace(part, names=()).trajectories == 2
+
+
+def urban(**overrides: object) -> Scenario:
+    keys = {key.replace("__", "."): value for key, value in overrides.items()}
+    return load_scenario("urban-credibility", {"world.steps": 40} | keys)
+
+
+SCHEDULE = [{"first": 11, "last": 25, "sigma": 10.0}, {"first": 20, "last": 22, "sigma": 7.0}]
+
+
+def test_an_ideal_filter_is_told_the_true_errors_and_variances() -> None:
+    log = simulate(urban(sensors__position_1__noise__schedule=SCHEDULE), 400, seed=4)
+    assert log.truth is not None
+    error = array(log.z) - array(log.truth[..., :1])
+    assert_close(log.inputs["ideal.error"], error, 1e-12)
+    sigma = np.full((40, 2), 3.0)
+    sigma[10:25, 0], sigma[19:22, 0], sigma[:, 1] = 10.0, 7.0, 5.0
+    assert_close(log.inputs["ideal.variance"], np.repeat(sigma[:, None] ** 2, 400, axis=1), 1e-15)
+    measured = (error / sigma[:, None]).std(1)
+    assert np.abs(measured - 1.0).max() < 5.0 / (2 * 400) ** 0.5
+
+
+def test_an_ideal_filter_is_told_of_faults_too_and_of_gaps_nothing() -> None:
+    fault = {"kind": "offset", "channels": ["position_1"], "windows": [[5, 8]], "value": 50.0,
+             "distribution": "constant"}  # fmt: skip
+    gap = {"kind": "dropout", "channels": ["position_2"], "windows": [[3, 4]]}
+    faulty = simulate(urban(faults__off=fault, faults__gap=gap), 3, seed=4)
+    clean = simulate(urban(), 3, seed=4)
+    added = array(faulty.inputs["ideal.error"] - clean.inputs["ideal.error"])
+    assert_close(added[4:8, :, 0], np.full((4, 3), 50.0), 1e-12)
+    assert not faulty.inputs["ideal.error"][2:4, :, 1].any()
+    assert bool(faulty.z[2:4, :, 1].isnan().all())
+
+
+def test_the_ideal_process_noise_is_told_where_it_is_given() -> None:
+    levels = [{"first": 5, "last": 9, "acceleration": 3.0}, {"first": 9, "last": 90,
+               "acceleration": 1.5}]  # fmt: skip
+    told = simulate(urban(world__ideal_process=levels), 2).inputs["ideal.process"]
+    assert told.shape == (40, 2)
+    assert bool(told[:4].isnan().all())
+    assert told[4:, 0].tolist() == [3.0] * 4 + [1.5] * 32
+    assert torch.equal(told[4:, 0], told[4:, 1])
+    none = simulate(urban(world__ideal_process=[]), 2).inputs["ideal.process"]
+    assert bool(none.isnan().all())
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_a_slow_sensor_measures_at_every_so_many_th_step(every: int) -> None:
+    slow = simulate(urban(sensors__position_2__every=every), 3, seed=4)
+    fast = simulate(urban(), 3, seed=4)
+    steps = torch.arange(1, 41)
+    there = steps % every == 0
+    assert torch.equal(slow.present[..., 1], there[:, None].expand(40, 3))
+    assert bool(slow.present[..., 0].all())
+    assert torch.equal(slow.z[there], fast.z[there])
+    assert torch.equal(slow.z[..., 0], fast.z[..., 0])
+    assert bool(torch.isfinite(slow.inputs["ideal.error"]).all())

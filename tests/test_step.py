@@ -38,7 +38,7 @@ def test_prediction_is_the_textbook_one(rng: np.random.Generator, batch: tuple[i
     state = plane_belief(rng, *batch)
     filter = linear_filter()
     z = torch.zeros(*batch, 3).double()
-    mean, deviations = predict(filter, filter.prepare(), state, Measurement(z, tensor(0.5)))
+    mean, deviations, *_ = predict(filter, filter.prepare(), state, Measurement(z, tensor(0.5)))
     expected = textbook_predict(state, 0.5)
     assert_close(mean, expected[0], 1e-14)
     assert_close(deviations @ deviations.mT, expected[1], 1e-13)

@@ -13,7 +13,14 @@ import difffilter as df
 ROOT = Path(__file__).resolve().parent.parent
 TRAINING = ROOT / "training"
 UWB = ROOT.parent / "shared" / "data" / "uwb_ranges"
-PUBLIC = {"difffilter", "difffilter.report", "difffilter.metrics", "difffilter.files"}
+PUBLIC = {
+    "difffilter",
+    "difffilter.report",
+    "difffilter.metrics",
+    "difffilter.files",
+    "difffilter.fsp",
+    "difffilter.trust",
+}
 
 
 def run_quick(script: str, out: Path) -> dict:
@@ -57,6 +64,27 @@ def test_the_bearing_experiment_runs_and_leaves_reports_figures_and_checkpoints(
         tuned = df.load(tmp_path / f"{stem}.json")
         assert (tuned.system, tuned.scenario.name) == ("gated", stem)
         assert tuned.values["start.sigma"][2:].tolist() == [0.0, 0.0]
+
+
+def test_the_urban_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("urban_credibility.py", tmp_path)
+    rows = report["tables"]["table 1"]
+    assert [row["algorithm"] for row in rows if row["from"] == "paper"] == [
+        "standard",
+        "credibility",
+        "ideal",
+    ]
+    here = {row["algorithm"] for row in rows if row["from"] == "here"}
+    assert here == {"standard", "credibility", "ideal", "tuned mapping alone", "tuned"}
+    names = {figure["name"] for figure in report["figures"]}
+    assert {"figure-3-trust-traps", "figure-4-errors", "fsp-surface"} <= names
+    for figure in report["figures"]:
+        assert (tmp_path / f"{figure['name']}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{figure['name']}.svg").is_file()
+    tuned = df.load(tmp_path / "urban-credibility.json")
+    assert (tuned.system, tuned.scenario.name) == ("credibility", "urban-credibility")
 
 
 @pytest.mark.skipif(not UWB.is_dir(), reason="no UWB recordings in ../shared/data/uwb_ranges")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -71,7 +73,7 @@ def test_the_width_of_a_trap_is_where_the_gap_is_deep(systems: int) -> None:
 def test_traps_narrow_as_systems_are_added(b: float) -> None:
     widths = [trap_width(b, systems) for systems in (2, 3, 5, 10, 20)]
     assert widths[-1] > 0.0
-    assert all(wide > narrow for wide, narrow in zip(widths, widths[1:], strict=False))
+    assert all(wide > narrow for wide, narrow in pairwise(widths))
 
 
 def test_a_surface_is_drawn_with_a_panel_per_entry_and_marked_points() -> None:

@@ -44,9 +44,11 @@ def main() -> None:
     stages.next("tuning without the credibility of the prediction")
     fixed = {"parameters.credibility.kappa.tuned": False,
              "parameters.credibility.drift_rate.tuned": False}  # fmt: skip
-    mapping = df.tune(
-        scenario.with_overrides(fixed), seed=seed, settings=small, progress=not options.quiet
-    ).checkpoint
+    mapping = tuned
+    if not quick:
+        mapping = df.tune(
+            scenario.with_overrides(fixed), seed=seed, progress=not options.quiet
+        ).checkpoint
 
     stages.next("table 1 and filtering ratios")
     log = df.simulate(scenario, runs, seed + 2, "test")

@@ -174,7 +174,8 @@ def variants(report: Report, tuned: df.Checkpoint, runs: int, seed: int, judged:
     """Two axes, and a faulty third system."""
     for name in ("urban-credibility-2d", "urban-credibility-faulty"):
         scenario = df.load_scenario(name)
-        table = df.compare(scenario, trajectories=runs, seed=seed)
+        systems = () if judged else ("standard", "credibility")
+        table = df.compare(scenario, trajectories=runs, seed=seed, systems=systems)
         report.heading(f"Variant: {scenario.title}")
         report.comparison(name, table)
     if not judged:

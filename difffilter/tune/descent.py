@@ -13,7 +13,7 @@ import torch
 from tqdm import tqdm
 
 from difffilter.errors import InputError
-from difffilter.estimate import started
+from difffilter.estimate import lean, started
 from difffilter.filter import Filter
 from difffilter.log import Log
 from difffilter.losses import LossContext, total_loss
@@ -43,7 +43,8 @@ class Descent:
         seed: int,
         log: Log | None,
     ) -> None:
-        filter = filter.centralised
+        # Nothing is isolated in simulated trajectories of built-in sensors.
+        filter = filter.centralised if log is None else lean(filter, log.only(filter.channels))
         self.scenario, self.filter, self.settings, self.seed = scenario, filter, settings, seed
         self.context = LossContext(
             scenario.score,
