@@ -9,8 +9,8 @@ __all__ = ["WIDTH", "source"]
 
 #: Trajectories side by side.
 WIDTH = 8
-#: Operations in one loop over them: longer blocks take the compiler longer than their share.
-SEGMENT = 400
+#: Operations in one loop over them: the compiler takes longer over long blocks than its share.
+SEGMENT = 150
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 _COMPARE = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}

@@ -42,7 +42,7 @@ class Lowering:
                 arguments = _mapped(node.args, values)
                 options = _mapped(node.kwargs, values)
                 name = str(node.target)
-                name = "getitem" if "getitem" in name else name.removeprefix("aten.")
+                name = "getitem" if "getitem" in name else name.partition(".")[2]
                 rule = getattr(self, "op_" + name.split(".")[0].strip("_"), None)
                 if rule is None:
                     raise InputError(f"engine: no rule for {name}{_where(node)}")
@@ -268,11 +268,12 @@ class Lowering:
     ) -> Array:
         where: list[Any] = [slice(None)] * x.ndim
         where[dim] = slice(start, end, step)
-        return x[tuple(where)]
+        return _array(x[tuple(where)])
 
     def op_select(self, x: Array, dim: int, index: int) -> Array:
         # A view, so that a later write through it is seen.
-        return _array(x[(*[slice(None)] * (dim % x.ndim), index)])
+        where: list[Any] = [slice(None)] * (dim % x.ndim)
+        return _array(x[(*where, index)])
 
     def op_unsqueeze(self, x: Array, dim: int) -> Array:
         return np.expand_dims(x, dim if dim >= 0 else dim + x.ndim + 1)
@@ -332,6 +333,15 @@ class Lowering:
             made[..., i, i] = x[..., i]
         return made
 
+    def op_block_diag(self, blocks: Sequence[Array]) -> Array:
+        made = self.constant(np.zeros(np.sum([b.shape for b in blocks], axis=0)))
+        row = column = 0
+        for block in blocks:
+            rows, columns = block.shape
+            made[row : row + rows, column : column + columns] = block
+            row, column = row + rows, column + columns
+        return made
+
     def op_constant_pad_nd(self, x: Array, pad: Sequence[int], value: float = 0) -> Array:
         widths = [(0, 0)] * x.ndim
         for i in range(len(pad) // 2):
@@ -345,7 +355,7 @@ class Lowering:
         return made
 
     def op_index(self, x: Array, indices: Sequence[Any]) -> Array:
-        numbers = []
+        numbers: list[Any] = []
         for index in indices:
             if index is None:
                 numbers.append(slice(None))
@@ -393,6 +403,9 @@ class Lowering:
     def op_zeros(self, size: Sequence[int], **_: Any) -> Array:
         return self.constant(np.zeros(size))
 
+    op_efficientzerotensor = op_zeros
+    op_empty = op_zeros
+
     def op_ones(self, size: Sequence[int], **_: Any) -> Array:
         return self.constant(np.ones(size))
 
@@ -433,8 +446,7 @@ for _name in ("lt", "le", "gt", "ge", "eq", "ne", "atan2"):
 
 
 def _array(value: Any) -> Array:
-    made = np.asarray(value, dtype=object)
-    return made
+    return np.asarray(value, dtype=object)
 
 
 def _mapped(tree: Any, values: dict[Node, Any]) -> Any:

@@ -126,7 +126,7 @@ class Program:
                 return args[0]
             return self.const(0.0) if values[0] == 0.0 else None
         if op == "neg" and self.nodes[args[0]][0] == "neg":
-            return int(self.nodes[args[0]][1])  # type: ignore[call-overload]
+            return self._argument(args[0])
         if op == "and":
             if 0.0 in values:
                 return self.const(0.0)
@@ -140,8 +140,14 @@ class Program:
                 return args[1]
             return args[0] if values[1] == 0.0 else None
         if op == "not" and self.nodes[args[0]][0] == "not":
-            return int(self.nodes[args[0]][1])  # type: ignore[call-overload]
+            return self._argument(args[0])
         return None
+
+    def _argument(self, node: int) -> int:
+        """The first argument of a node."""
+        argument = self.nodes[node][1]
+        assert isinstance(argument, int)
+        return argument
 
     def live(self, outputs: Sequence[int]) -> list[int]:
         """Nodes that outputs need, in order."""
