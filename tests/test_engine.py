@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -221,3 +222,19 @@ def test_a_filter_of_two_sensors_of_other_kinds() -> None:
     z[3, :, 1] = torch.nan
     start = Start(tensor([[10.0, 10.0, 0.0, 0.0]] * 2), torch.eye(4).double().expand(2, 4, 4))
     assert_same(mixed, Log(mixed.channels, torch.arange(12).double(), z, start=start))
+
+
+def test_the_command_line_compares_and_runs_with_it(tmp_path: Path) -> None:
+    def command(*arguments: str) -> bytes:
+        line = [sys.executable, "-m", "difffilter", *arguments]
+        return subprocess.run(line, cwd=tmp_path, capture_output=True, check=True).stdout
+
+    both = ["compare", "gate-lockout", "--trajectories", "4", "--system", "gated", "--json"]
+    slow, fast = (json.loads(command(*both, "--engine", e)) for e in ("torch", "fused"))
+    assert fast["rows"][0]["rmse"] == pytest.approx(slow["rows"][0]["rmse"], rel=1e-9)
+    command("simulate", "gate-lockout", "--trajectories", "1", "--seed", "3", "--out", "logs")
+    (log,) = (tmp_path / "logs").iterdir()
+    found = command(
+        "run", "gate-lockout", str(log), "--out", "e.csv", "--engine", "fused", "--json"
+    )
+    assert json.loads(found)["rows"] == 150
