@@ -124,6 +124,7 @@ def compare(
     log: Log | None = None,
     systems: tuple[str, ...] = (),
     progress: bool = False,
+    engine: str = "torch",
 ) -> Comparison:
     """Run every system with published values, and every checkpoint's system with its own.
 
@@ -135,6 +136,7 @@ def compare(
             and validation whatever the seed.
         log: recorded logs in place of simulated ones.
         systems: only these; all if empty.
+        engine: of the filters, as for :func:`difffilter.run`.
 
     Raises:
         InputError: a checkpoint of a system or with parameters that this scenario has not,
@@ -153,7 +155,9 @@ def compare(
             frozen, temperature = checkpoint.values, checkpoint.temperature
         ready = started(scenario, system, held_out, frozen)
         with torch.no_grad():
-            tracks[name, label] = estimate(system, ready, frozen, temperature=temperature)
+            tracks[name, label] = estimate(
+                system, ready, frozen, temperature=temperature, engine=engine
+            )
     return _tabulate(scenario, tracks, held_out, seed if log is None else None)
 
 

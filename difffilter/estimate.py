@@ -63,9 +63,12 @@ def estimate(
     *,
     temperature: float | None = None,
     progress: bool = False,
+    engine: str = "torch",
 ) -> Track:
     """Estimates of a filter or a baseline over a log (see :func:`difffilter.run`)."""
     log = log.only(system.channels)
     if isinstance(system, Filter):
-        return run(system, log, values, start, temperature=temperature, progress=progress)
+        return run(
+            system, log, values, start, temperature=temperature, progress=progress, engine=engine
+        )
     return system.estimate(log, values, start, progress=progress)

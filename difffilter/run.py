@@ -16,7 +16,9 @@ from difffilter.log import Log, Start
 from difffilter.parameters import Values
 from difffilter.step import step
 
-__all__ = ["Track", "run", "start_belief"]
+__all__ = ["ENGINES", "Track", "run", "start_belief"]
+
+ENGINES = ("torch", "fused")
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ def run(
     *,
     temperature: float | None = None,
     progress: bool = False,
+    engine: str = "torch",
 ) -> Track:
     """Run the filter over a log, all trajectories at once.
 
@@ -94,6 +97,8 @@ def run(
             dt; the log's own if None.
         temperature: None runs the frozen, hard form.
         progress: show a bar if it takes over two seconds.
+        engine: ``torch``, or ``fused``: the same step traced, compiled to C and cached (see
+            :mod:`difffilter.engine`): float64, without gradient, needs a C compiler.
 
     Raises:
         InputError: channels or shapes that do not fit, no start.
@@ -124,6 +129,17 @@ def run(
     if isinstance(start, Belief):
         current = current._replace(memory={**current.memory, **start.memory})
     intervals = log.intervals(at)
+    if engine not in ENGINES:
+        raise InputError(f"engine: found {engine!r}, expected {' or '.join(ENGINES)}")
+    if engine == "fused":
+        from difffilter.engine.fused import forward
+
+        if torch.is_grad_enabled() and any(x.requires_grad for x in constants.values()):
+            raise InputError("engine fused: found values with gradient, expected none")
+        found = forward(filter, constants, log, current, intervals)
+        track = Track(filter.states, filter.channels, log.time, *found)
+        check_finite(track)
+        return track
     rows = log.z.movedim(-1, 1).contiguous().movedim(1, -1)  # trajectories last in memory
     means, deviations, records = [], [], []
     for t in tqdm(range(log.steps), desc="filter", unit="step", delay=2.0, disable=not progress):

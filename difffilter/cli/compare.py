@@ -53,6 +53,7 @@ def add(commands: Commands) -> None:
         "--log", metavar="FILE", nargs="+", help="recorded logs with truth, instead of simulation"
     )
     parser.add_argument("--out", metavar="FILE", help="write it too: .json or .md")
+    parser.add_engine()
     parser.add_json()
     parser.add_quiet()
     parser.set_defaults(command=command)
@@ -81,6 +82,7 @@ def command(args: Namespace) -> int:
         log=log,
         systems=systems,
         progress=shows_progress(args),
+        engine=args.engine,
     )
     as_json, text = json_text(comparison.as_dict()), comparison_text(comparison, scenario)
     if args.out:

@@ -72,6 +72,15 @@ class Parser(ArgumentParser):
         """--quiet."""
         self.add_argument("--quiet", action="store_true", help="no progress bar")
 
+    def add_engine(self) -> None:
+        """--engine."""
+        self.add_argument(
+            "--engine",
+            choices=("torch", "fused"),
+            default="torch",
+            help="fused: the filters compiled to C, for many trajectories (torch)",
+        )
+
     def add_seed(self, default: int, what: str) -> None:
         """--seed."""
         self.add_argument("--seed", type=whole(0), default=default, help=f"{what} ({default})")

@@ -59,6 +59,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", metavar="FILE", required=True, help="CSV of estimates to write")
     parser.add_argument("--plot", metavar="FILE", help="figure to write, PNG and SVG")
     parser.add_set()
+    parser.add_engine()
     parser.add_json()
     parser.add_quiet()
     parser.set_defaults(command=command)
@@ -93,7 +94,9 @@ def command(args: Namespace) -> int:
     temperature = job.values.temperature if job.values else None
     ready = started(job.scenario, system, log, frozen)
     progress = shows_progress(args)
-    track = estimate(system, ready, frozen, temperature=temperature, progress=progress)
+    track = estimate(
+        system, ready, frozen, temperature=temperature, progress=progress, engine=args.engine
+    )
     note_missing_run(chosen.scenario, _run_name(args))
     result = summary(log, track, job.scenario.score)
     if args.plot:

@@ -1,0 +1,132 @@
+"""One unbatched step of a filter, traced to a scalar program."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from difffilter.belief import Belief, Measurement, Record
+from difffilter.engine.lower import Array, Lowering
+from difffilter.engine.program import Program
+from difffilter.filter import Filter
+from difffilter.parameters import Values
+from difffilter.step import step
+
+__all__ = ["Layout", "Traced", "trace"]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Names and shapes, in order, of what is passed as one row of numbers."""
+
+    shapes: Mapping[str, tuple[int, ...]]
+
+    @property
+    def size(self) -> int:
+        """How many numbers."""
+        return sum(int(np.prod(shape)) for shape in self.shapes.values())
+
+    def pack(self, values: Mapping[str, Tensor], lead: tuple[int, ...]) -> Tensor:
+        """(*lead, size) of tensors whose leading dimensions broadcast to ``lead``."""
+        parts = []
+        for name, shape in self.shapes.items():
+            full = values[name].to(torch.float64).expand((*lead, *shape))
+            parts.append(full.reshape((*lead, -1)))
+        if not parts:
+            return torch.zeros((*lead, 0), dtype=torch.float64)
+        return torch.cat(parts, dim=-1).contiguous()
+
+    def unpack(self, packed: Tensor) -> dict[str, Tensor]:
+        """Tensors (*lead, *shape) of (*lead, size)."""
+        found, at = {}, 0
+        for name, shape in self.shapes.items():
+            count = int(np.prod(shape))
+            found[name] = packed[..., at : at + count].reshape(*packed.shape[:-1], *shape)
+            at += count
+        return found
+
+    def inputs(self, program: Program, group: str) -> list[Array]:
+        """Arrays of input nodes, one per name."""
+        made, at = [], 0
+        for shape in self.shapes.values():
+            count = int(np.prod(shape))
+            nodes = [program.input(group, at + i) for i in range(count)]
+            made.append(np.array(nodes, dtype=object).reshape(shape))
+            at += count
+        return made
+
+
+@dataclass(frozen=True)
+class Traced:
+    """The scalar program of one step.
+
+    Attributes:
+        constants, state, row: layouts of the inputs: the run's constants; belief and memory;
+            measurement, dt and known inputs.
+        output: layout of the record.
+        next_state, results: node of each number of the new state, and of the record.
+    """
+
+    program: Program
+    constants: Layout
+    state: Layout
+    row: Layout
+    output: Layout
+    next_state: list[int]
+    results: list[int]
+
+
+def trace(
+    filter: Filter, constants: Values, belief: Belief, inputs: Mapping[str, Tensor]
+) -> Traced:
+    """Trace one step for an unbatched belief and inputs (shapes are all that counts)."""
+    names = list(constants)
+    known, memory = list(inputs), list(belief.memory)
+    m = len(filter.channels)
+
+    def flat(cs: list[Tensor], state: list[Tensor], row: list[Tensor]) -> list[Tensor]:
+        before = Belief(state[0], state[1], dict(zip(memory, state[2:], strict=True)))
+        measurement = Measurement(row[0], row[1], dict(zip(known, row[2:], strict=True)))
+        after, record = step(filter, dict(zip(names, cs, strict=True)), before, measurement)
+        return [
+            after.mean,
+            after.deviations,
+            *(after.memory[name] for name in memory),
+            *record,
+        ]
+
+    dtype = torch.float64
+    cs = [constants[name].detach().to(dtype) for name in names]
+    state = [belief.mean, belief.deviations, *(belief.memory[name] for name in memory)]
+    row = [torch.zeros(m, dtype=dtype), torch.ones((), dtype=dtype), *inputs.values()]
+    with torch.no_grad():
+        graph = make_fx(flat)(cs, state, row)
+    program = Program()
+    layouts = (
+        Layout({name: tuple(c.shape) for name, c in zip(names, cs, strict=True)}),
+        Layout(_shapes(("mean", "deviations", *memory), state)),
+        Layout(_shapes(("z", "dt", *known), row)),
+    )
+    feed = [
+        array
+        for group, layout in zip(("c", "s", "r"), layouts, strict=True)
+        for array in layout.inputs(program, group)
+    ]
+    found = Lowering(program).run(graph, feed)
+    new_state, record = found[: len(state)], found[len(state) :]
+    output = Layout({name: np.shape(x) for name, x in zip(Record._fields, record, strict=True)})
+    return Traced(program, *layouts, output, _nodes(new_state), _nodes(record))
+
+
+def _shapes(names: tuple[str, ...], tensors: list[Tensor]) -> dict[str, tuple[int, ...]]:
+    return {name: tuple(x.shape) for name, x in zip(names, tensors, strict=True)}
+
+
+def _nodes(arrays: list[Any]) -> list[int]:
+    return [int(node) for array in arrays for node in np.ravel(array)]
