@@ -29,7 +29,7 @@ def main() -> None:
     options = arguments("airborne-bearing")
     quick, seed = options.quick, options.seed
     held_out = 30 if quick else 500
-    runs, blocks = (30, 1) if quick else (2000, 5)
+    runs, blocks = (30, 1) if quick else (1000, 10)
     small: dict[str, Any] = {}
     if quick:
         small = {"trajectories": 16, "validation": 16, "test": 16, "batch": 16, "steps": 3}
