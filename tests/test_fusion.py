@@ -225,7 +225,9 @@ def test_a_wrong_fusion_is_an_input_error() -> None:
         {"clairvoyant": True},
     )
     for options in beside:
-        with pytest.raises(InputError, match="fusion: expected no weight, gate, recovery or adap"):
+        with pytest.raises(
+            InputError, match="fusion: expected no weight, scope, gate, recovery or adap"
+        ):
             Filter(motion, sensors, fusion=Fusion(2), **options)  # type: ignore[arg-type]
     assert Filter(motion, sensors, fusion=Fusion(2)).channels[:2] == ("x_a", "y_a")
 

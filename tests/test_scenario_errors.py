@@ -370,12 +370,12 @@ TOGETHER: list[tuple[str, dict[str, Any], str]] = [
     (
         MANOEUVRE,
         {"systems.fusion.weight": "huber"},
-        "systems.fusion: fusion: expected no weight, gate, recovery or adaptation with it",
+        "systems.fusion: fusion: expected no weight, scope, gate, recovery or adaptation with it",
     ),
     (
         MANOEUVRE,
         {"systems.fusion.adaptation": ["strong-tracking"]},
-        "systems.fusion: fusion: expected no weight, gate, recovery or adaptation with it",
+        "systems.fusion: fusion: expected no weight, scope, gate, recovery or adaptation with it",
     ),
     (
         MANOEUVRE,
