@@ -12,8 +12,8 @@ from torch import Tensor
 from difffilter.condition import Conditioned
 from difffilter.constraints import Bounded, Interval, Positive
 from difffilter.errors import InputError
-from difffilter.filter import Linearised
 from difffilter.linalg import positive_sqrt, square_norms
+from difffilter.linearised import Linearised
 from difffilter.parameters import Parameter, Values
 
 __all__ = ["Credibility"]

@@ -16,8 +16,8 @@ from difffilter.start import from_measurements
 from difffilter.triangulate import from_bearings
 
 if TYPE_CHECKING:
+    from difffilter.scenario.build import System
     from difffilter.scenario.scenario import Scenario
-    from difffilter.scenario.systems import System
 
 __all__ = ["estimate", "lean", "started"]
 

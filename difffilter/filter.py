@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from difffilter.belief import Belief
-from difffilter.condition import Conditioned
 from difffilter.constraints import Interval, Positive
 from difffilter.errors import InputError
 from difffilter.federation import Federation
 from difffilter.gate import Gate
 from difffilter.groups import DISTANCES, Scope, channel_groups
+from difffilter.linearised import Adaptation
 from difffilter.motion import Motion
 from difffilter.parameters import (
     Number,
@@ -35,89 +35,10 @@ from difffilter.weights import Weight, plain
 if TYPE_CHECKING:
     from difffilter.fusion import Fusion
 
-__all__ = ["RULES", "STANDARDISATIONS", "Adaptation", "Filter", "Linearised"]
+__all__ = ["RULES", "STANDARDISATIONS", "Filter"]
 
 STANDARDISATIONS = ("innovation", "noise")
 RULES = ("taylor", "cubature")
-
-
-class Linearised(NamedTuple):
-    """A predicted belief and measurement, before any weighing.
-
-    Attributes:
-        mean: (..., n) predicted mean; deviations: (..., n, k) with k >= n.
-        innovation: (..., m); 0 where missing.
-        observed: (..., m, k) deviations of the predicted measurement.
-        independent: (..., m) independent noise variance.
-        total: (..., m) diagonal of R.
-        common: how many of the last columns are noise common to channels.
-        moved: (..., n, j) moved deviations F X without process noise; process: (..., n, q).
-        transition: columns (..., n, j) -> F times them, F the motion's Jacobian.
-        dt: (...), s, of the prediction.
-        again: (mean, deviations (..., n, n)) -> the same measurement linearised there.
-    """
-
-    mean: Tensor
-    deviations: Tensor
-    innovation: Tensor
-    observed: Tensor
-    independent: Tensor
-    total: Tensor
-    common: int = 0
-    moved: Tensor | None = None
-    process: Tensor | None = None
-    transition: Callable[[Tensor], Tensor] | None = None
-    dt: Tensor | None = None
-    again: Callable[[Tensor, Tensor], Linearised] | None = None
-
-    @property
-    def own(self) -> int:
-        """How many of the first columns are the state's: n, or 2n with cubature."""
-        return self.deviations.shape[-1] - self.common
-
-
-class Adaptation(Protocol):
-    """A plug-in around predict and condition, with memory carried in the belief.
-
-    Each hook is pure and of static shape, like the step.
-    """
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Declared parameters."""
-
-    def memory(self, mean: Tensor, channels: int) -> dict[str, Tensor]:
-        """Start value of the memory, with the leading dimensions of ``mean``."""
-
-    def before_predict(
-        self,
-        memory: Mapping[str, Tensor],
-        process: Tensor,
-        inputs: Mapping[str, Tensor],
-        constants: Values,
-    ) -> Tensor:
-        """Adapt the deviations (..., n, q) of the process noise."""
-
-    def before_condition(
-        self,
-        memory: Mapping[str, Tensor],
-        linearised: Linearised,
-        present: Tensor,
-        inputs: Mapping[str, Tensor],
-        constants: Values,
-    ) -> tuple[Linearised, Mapping[str, Tensor]]:
-        """Adapt the linearised step; returns it with the new memory."""
-
-    def after_condition(
-        self,
-        memory: Mapping[str, Tensor],
-        linearised: Linearised,
-        conditioned: Conditioned,
-        weight: Tensor,
-        present: Tensor,
-        constants: Values,
-    ) -> Mapping[str, Tensor]:
-        """New memory, from what the update did with the final weights (..., m)."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from difffilter.adaptation.matching import FLAG, MATCHED, InnovationMatching
 from difffilter.belief import Belief, Measurement, Record
 from difffilter.condition import condition
 from difffilter.errors import InputError
-from difffilter.filter import Linearised
 from difffilter.linalg import compress, square_norms
+from difffilter.linearised import Linearised
 from difffilter.parameters import Parameter, Values
 
 if TYPE_CHECKING:

@@ -14,9 +14,10 @@ from torch import Tensor
 
 from difffilter.belief import Belief, Measurement, Record
 from difffilter.cubature import moments, points
-from difffilter.filter import Filter, Linearised
+from difffilter.filter import Filter
 from difffilter.groups import spread
 from difffilter.linalg import compress, join
+from difffilter.linearised import Linearised
 from difffilter.parameters import Values
 from difffilter.recovery import STREAK, Recovery
 from difffilter.sensor import Sensor

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from difffilter.belief import Record
 from difffilter.condition import Conditioned, condition
-from difffilter.filter import Filter, Linearised
+from difffilter.filter import Filter
 from difffilter.groups import group_rms, normalised_square, spread
 from difffilter.linalg import positive_sqrt, square_norms
+from difffilter.linearised import Linearised
 from difffilter.parameters import Values
 
 __all__ = ["reweigh", "weigh_once"]

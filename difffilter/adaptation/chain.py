@@ -10,7 +10,7 @@ from torch import Tensor
 from difffilter.adaptation.passive import Memory
 from difffilter.condition import Conditioned
 from difffilter.errors import InputError
-from difffilter.filter import Adaptation, Linearised
+from difffilter.linearised import Adaptation, Linearised
 from difffilter.parameters import Parameter, Values
 
 __all__ = ["Chain"]

@@ -10,7 +10,7 @@ from torch import Tensor
 from difffilter.adaptation.matching import BEFORE
 from difffilter.adaptation.passive import Memory, Passive, innovation_variance, jacobian
 from difffilter.constraints import Positive
-from difffilter.filter import Linearised
+from difffilter.linearised import Linearised
 from difffilter.parameters import Parameter, Values
 from difffilter.weight import soft_relu
 

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from difffilter.adaptation.passive import Memory, Passive, innovation_variance, jacobian
 from difffilter.constraints import Interval, Positive
-from difffilter.filter import Linearised
 from difffilter.linalg import compress, square_norms
+from difffilter.linearised import Linearised
 from difffilter.parameters import Parameter, Values
 from difffilter.weight import Weight
 from difffilter.weights import plain

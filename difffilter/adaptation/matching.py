@@ -10,7 +10,7 @@ from torch import Tensor
 from difffilter.adaptation.passive import Memory, Passive, innovation_variance
 from difffilter.constraints import Interval, Positive
 from difffilter.errors import InputError
-from difffilter.filter import Linearised
+from difffilter.linearised import Linearised
 from difffilter.parameters import Parameter, Values
 
 __all__ = ["BEFORE", "FLAG", "MATCHED", "InnovationMatching"]

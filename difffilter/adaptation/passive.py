@@ -10,8 +10,8 @@ from torch import Tensor
 
 from difffilter.condition import Conditioned
 from difffilter.cubature import halves
-from difffilter.filter import Linearised
 from difffilter.linalg import square_norms
+from difffilter.linearised import Linearised
 from difffilter.parameters import Parameter, Values
 
 __all__ = ["Memory", "Passive", "innovation_variance", "jacobian"]

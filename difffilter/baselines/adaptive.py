@@ -12,9 +12,9 @@ from torch.nn.functional import pad
 from difffilter.condition import Conditioned
 from difffilter.constraints import OrderedPair
 from difffilter.errors import InputError
-from difffilter.filter import Linearised
 from difffilter.information import Information
 from difffilter.linalg import positive_sqrt
+from difffilter.linearised import Linearised
 from difffilter.parameters import Parameter, Values
 
 __all__ = ["InnovationScaling"]

@@ -12,6 +12,7 @@ from difffilter.errors import InputError
 from difffilter.metrics import SCORES, Score
 from difffilter.parameters import Parameter
 from difffilter.position_sensor import Position
+from difffilter.scenario.build import System, build_system
 from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
 from difffilter.scenario.faults import Fault, read_fault
 from difffilter.scenario.pooling import pooled_sigma
@@ -19,9 +20,7 @@ from difffilter.scenario.sensing import SensorSpec, read_sensor
 from difffilter.scenario.systems import (
     MotionSpec,
     ParameterSpec,
-    System,
     SystemSpec,
-    build_system,
     read_motion,
     read_parameters,
     read_system,
