@@ -16,7 +16,7 @@ from difffilter.log import Log, Start
 from difffilter.losses import LossContext
 from difffilter.parameters import Values
 from difffilter.run import run
-from difffilter.scenario import systems
+from difffilter.scenario import build
 from difffilter.scenario.scenario import load_scenario
 from difffilter.sensors import Position
 from difffilter.simulate import simulate
@@ -112,7 +112,7 @@ def test_a_gradient_that_is_not_finite_is_located(step: int, trajectory: int, ch
 
 def test_tuning_stops_at_a_gradient_that_is_not_finite(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        systems, "weight_named", lambda name: _trap(15.0) if name == "huber" else WEIGHTS[name]
+        build, "weight_named", lambda name: _trap(15.0) if name == "huber" else WEIGHTS[name]
     )
     keys = {"systems.ekf.weight": "huber", "systems.ekf.standardise": "noise"}
     scenario = airport(faults__nlos__channels=["tdoa_4"], faults__nlos__scale=400.0)
