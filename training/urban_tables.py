@@ -103,27 +103,31 @@ def fsp_figure(
 ) -> None:
     """delta over process noise and kappa, the other values tuned, in every scene."""
     log = df.simulate(scenario, runs, seed, "surface")
-    q = torch.logspace(-1.2, 0.4, points, dtype=torch.float64).tolist()
+    q = torch.logspace(-1.2, 0.5, points, dtype=torch.float64).tolist()
     kappa = torch.logspace(-1, 2.5, points, dtype=torch.float64).tolist()
     grid = {"credibility.kappa": kappa, "motion.acceleration": q}
     surface = fsp_surface(scenario, log, grid, "credibility", tuned.values)
-    scenes = fsp(scenario, log, "ideal")
-    panels = {
-        f"scene {name} (ideal {float(best):.2f} m, published {float(own):.2f} m)":
-            surface[..., i].tolist()
-        for i, (name, best, own) in enumerate(
-            zip(scenes.scenes, scenes.delta, fsp(scenario, log, "credibility").delta, strict=True)
-        )
-    }  # fmt: skip
+    ideal, published = (fsp(scenario, log, name) for name in ("ideal", "credibility"))
     at = (float(tuned.values["motion.acceleration"]), float(tuned.values["credibility.kappa"]))
-    published = float(scenario.system("credibility").published()["motion.acceleration"])
-    marks = {"tuned": at, "published (kappa = 0)": (published, kappa[0])}
+    level = float(scenario.system("credibility").published()["motion.acceleration"])
+    marks = {"tuned": at, "published (kappa = 0)": (level, kappa[0])}
+    panels, own = {}, {}
+    assert scenario.world is not None
+    raised = scenario.world.process_levels()
+    for i, scene in enumerate(scenario.scenes):
+        title = f"scene {scene.name}, published {float(published.delta[i]):.2f} m"
+        panels[title] = surface[..., i].tolist()
+        own_level = float(raised[scene.first - 1].nan_to_num(level))
+        label = f"ideal (kappa = 0), {float(ideal.delta[i]):.2f} m"
+        # Just above the published one where both have its process noise.
+        own[title] = {label: (own_level, 1.6 * kappa[0])}
     figure = surface_figure(
-        panels, q, kappa, "process noise q (m/s^1.5)", "kappa", "delta (m)", points=marks
+        panels, q, kappa, "process noise q (m/s^1.5)", "kappa", "delta (m)", points=marks, own=own
     )
     caption = (
         f"FSP function over process noise and credibility of the prediction, {runs} runs, other "
-        "values tuned; published and ideal filters have none (kappa = 0)"
+        "values tuned; published and ideal filters have none (kappa = 0), and the ideal one's "
+        "delta stands in the legend: it knows more than any point of the surface"
     )
     report.figure(figure, "fsp-surface", caption)
 

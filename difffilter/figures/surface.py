@@ -22,6 +22,7 @@ def surface_figure(
     unit: str,
     *,
     points: Mapping[str, tuple[float, float]] | None = None,
+    own: Mapping[str, Mapping[str, tuple[float, float]]] | None = None,
     log: tuple[bool, bool] = (True, True),
     columns: int = 2,
     diverging: bool = False,
@@ -31,7 +32,7 @@ def surface_figure(
     Args:
         panels: title to values.
         points: label to (x, y); labels with "published", "tuned" or "ideal" in them get the
-            colours that these have in every figure.
+            colours that these have in every figure; own: further ones of single panels.
         log: whether each axis is logarithmic.
         diverging: colours about 0 instead of a logarithmic scale.
     """
@@ -54,10 +55,11 @@ def surface_figure(
         if not diverging:
             bar.ax.yaxis.set_major_formatter("{x:.3g}")
             bar.ax.yaxis.set_minor_formatter("")
-        for label, (px, py) in (points or {}).items():
+        marked = {**(points or {}), **(own or {}).get(title, {})}
+        for label, (px, py) in marked.items():
             keys = [key for key in ("tuned", "published") if key in label]
             colour = COLOURS[keys[0]] if keys else COLOURS["clairvoyant"]
             ax.plot(px, py, "o", ms=8, mfc=colour, mec="white", label=label)
-        if points:
+        if marked:
             ax.legend(fontsize=7, loc="best")
     return figure
