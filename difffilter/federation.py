@@ -11,6 +11,7 @@ from torch import Tensor
 from difffilter.condition import Conditioned, condition
 from difffilter.errors import InputError
 from difffilter.linalg import compress, product
+from difffilter.parameters import Values
 
 __all__ = ["Federation"]
 
@@ -52,6 +53,15 @@ class Federation:
         """How many local filters."""
         return len(self.shares)
 
+    def prepare(self, members: Sequence[Sequence[int]], dtype: torch.dtype) -> dict[str, Tensor]:
+        """``federation.root`` (N,), 1 / sqrt(beta), and ``federation.member`` (N, m): 1 where a
+        channel belongs to a system."""
+        member = torch.zeros(self.systems, sum(map(len, members)), dtype=dtype)
+        for i, system in enumerate(members):
+            member[i, [*system]] = 1.0
+        root = torch.tensor(self.shares, dtype=dtype).rsqrt()
+        return {"federation.root": root, "federation.member": member}
+
     def condition(
         self,
         rows: Tensor,
@@ -59,24 +69,21 @@ class Federation:
         innovation: Tensor,
         weight: Tensor,
         noise: Tensor,
-        members: Sequence[Sequence[int]],
+        constants: Values,
     ) -> Conditioned:
         """What :func:`difffilter.condition` does, by local filters and fusion.
 
         Args:
             rows: (..., n, k) deviations; observed: (..., m, k); innovation, weight, noise:
                 (..., m), as for :func:`difffilter.condition`.
-            members: channels of each system.
+            constants: from :meth:`prepare`.
         """
         k = rows.shape[-1]
         lead = innovation.shape[:-1]
         # One leading dimension of systems: deviations of the whitened prior, I / sqrt(beta).
-        root = rows.new_tensor(self.shares).rsqrt().reshape(-1, *[1] * (len(lead) + 2))
+        root = constants["federation.root"].reshape(-1, *[1] * (len(lead) + 2))
         unit = torch.eye(k, dtype=rows.dtype, device=rows.device).expand(*lead, k, k)
-        member = torch.zeros(self.systems, innovation.shape[-1], dtype=rows.dtype)
-        for i, system in enumerate(members):
-            member[i, [*system]] = 1.0
-        own = member.to(rows.device).reshape(self.systems, *[1] * len(lead), -1)
+        own = constants["federation.member"].reshape(self.systems, *[1] * len(lead), -1)
         local = condition(
             unit * root,
             observed * root,

@@ -279,6 +279,8 @@ class Filter:
             constants.update(part.prepare(complete))
         if self.gate is not None:
             constants.update(self.gate.prepare(complete, max(map(len, self.grouped or ((0,),)))))
+        if self.federation is not None:
+            constants.update(self.federation.prepare(self.members, dtype))
         if temperature is not None:
             constants["temperature"] = torch.tensor(temperature, dtype=dtype)
         return constants

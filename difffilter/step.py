@@ -44,7 +44,7 @@ def step(
         return filter.fusion.step(filter, constants, belief, measurement)
     predicted = predict(filter, constants, belief, measurement)
     linear, present = linearise(filter, constants, predicted, measurement)
-    isolated = torch.zeros_like(present)
+    isolated = None
     if filter.federated:
         linear, present, isolated = _isolate(filter, linear, present)
     memory, widening = belief.memory, None
@@ -64,7 +64,8 @@ def step(
     if filter.recovery is not None:
         streak = filter.recovery.count(belief.memory[STREAK], record.weight, present)
         memory = {**memory, STREAK: streak}
-    record = record._replace(isolated=isolated)
+    if isolated is not None:
+        record = record._replace(isolated=isolated)
     n = linear.mean.shape[-1]
     posterior = conditioned.deviations[..., :n, :]
     if posterior.shape[-1] > n:  # common noise, cubature: static, by the recipe

@@ -32,7 +32,8 @@ def weigh_once(
     scales = _scales(filter, linear, widening)
     s = _distance(filter, linear, linear.innovation, present, scales)
     weight = filter.weight(s, constants, constants.get("temperature"))
-    weight, gate = _gated(filter, constants, weight, linear, present, scales)
+    test = _test(filter, linear, present, scales)
+    weight, gate = _gated(filter, constants, weight, test)
     weight = weight * present
     conditioned = _condition(filter, constants, linear, linear.deviations, linear.observed, weight)
     prior_weight = torch.ones_like(linear.mean)
@@ -59,6 +60,7 @@ def reweigh(
     s = linear.innovation
     temperature = constants.get("temperature")
     scales = _scales(filter, linear, widening)
+    test = _test(filter, linear, present, scales)  # of the innovation: the same throughout
     # Until the weights are final only residuals count: rows that carry them stand for X.
     rows, split = _residual_rows(filter, linear)
     conditioned = _condition(filter, constants, linear, rows, linear.observed, weight)
@@ -72,7 +74,7 @@ def reweigh(
             scale = _mad_scale(torch.cat([torch.where(present, s, torch.nan), prior_s], dim=-1))
             s, prior_s = s / scale, prior_s / scale
         weight = filter.weight(s, constants, temperature)
-        weight, gate = _gated(filter, constants, weight, linear, present, scales)
+        weight, gate = _gated(filter, constants, weight, test)
         weight = weight * present
         rows = linear.deviations if i + 1 == filter.iterations else rows
         deviations, observed = rows, linear.observed
@@ -123,7 +125,7 @@ def _condition(
         noise = noise + (1.0 - weight) * (linear.total - linear.independent)
     if filter.federation is not None:
         return filter.federation.condition(
-            deviations, observed, linear.innovation, weight, noise, filter.members
+            deviations, observed, linear.innovation, weight, noise, constants
         )
     return condition(deviations, observed, linear.innovation, weight, noise)
 
@@ -183,28 +185,37 @@ def _squares(
     return squares if widening is None else squares / widening.unsqueeze(-1)
 
 
-def _gated(
-    filter: Filter,
-    constants: Values,
-    weight: Tensor,
-    linear: Linearised,
-    present: Tensor,
-    scales: _Scales,
-) -> tuple[Tensor, Tensor]:
-    """Weight and gate of each channel, from the NIS of its group."""
+class _Test(NamedTuple):
+    """What the gate asks of each channel: NIS of its group, its degrees, R_ii / S_ii (..., m)."""
+
+    nis: Tensor
+    degrees: Tensor | None
+    share: Tensor
+
+
+def _test(filter: Filter, linear: Linearised, present: Tensor, scales: _Scales) -> _Test | None:
+    """From the nominal innovation; None without a gate."""
     if filter.gate is None:
-        return weight, torch.ones_like(weight)
-    share, degrees = linear.total / scales.nominal, None
+        return None
+    share = linear.total / scales.nominal
     if filter.grouped is None:
         nis = linear.innovation.square() / scales.nominal
         if scales.widening is not None:
             nis = nis / scales.widening.unsqueeze(-1)
-    else:
-        nis = _squares(filter, linear, linear.innovation, linear.observed, present, scales.widening)
-        counts = [present[..., [*group]].sum(-1) for group in filter.grouped]
-        degrees = spread(filter.grouped, counts)
+        return _Test(nis, None, share)
+    nis = _squares(filter, linear, linear.innovation, linear.observed, present, scales.widening)
+    counts = [present[..., [*group]].sum(-1) for group in filter.grouped]
+    return _Test(nis, spread(filter.grouped, counts), share)
+
+
+def _gated(
+    filter: Filter, constants: Values, weight: Tensor, test: _Test | None
+) -> tuple[Tensor, Tensor]:
+    """Weight and gate of each channel."""
+    if filter.gate is None or test is None:
+        return weight, torch.ones_like(weight)
     temperature = constants.get("temperature")
-    return filter.gate.weigh(weight, nis, degrees, constants, temperature, share)
+    return filter.gate.weigh(weight, test.nis, test.degrees, constants, temperature, test.share)
 
 
 def _mad_scale(residuals: Tensor) -> Tensor:

@@ -359,7 +359,7 @@ def test_every_choice_is_documented() -> None:
     choices = (
         *sensing.KINDS, *faults.KINDS, *WEIGHTS, *LOSSES, *gate.ACTIONS, *motion.NOISES,
         *STANDARDISATIONS, *RULES, *systems.MODELS, *systems.FUSIONS, *systems.ESTIMATORS,
-        *systems.ADAPTATIONS, *table.UNITS,
+        *systems.ADAPTATIONS, *(unit for units in table.MEASURES.values() for unit in units),
         *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *scenario.STARTS, *metrics.SCORES,
         "constant", "uniform", "normal", "sigma",
     )  # fmt: skip

@@ -83,6 +83,9 @@ def reference_table(report: Report, name: str, curves: Curves, runs: int, judged
     for system, expected in REFERENCE[name].items():
         got = [float(found[system][k - 1]) for k in AT]
         rows.append([system, "here", *got])
+        for part, which in zip(curves[1:], ("lowest block", "highest block"), strict=True):
+            if system not in ONE_BLOCK:
+                rows.append([system, which, *(float(part[system][k - 1]) for k in AT)])
         rows.append([system, "specification", *expected])
         for k, here, there in zip(AT, got, expected, strict=True):
             cells += 1

@@ -46,7 +46,7 @@ def slightly_worse_while_right(one: Scene, two: Scene) -> Verdict:
 
 
 def better_in_turns(one: Scene, two: Scene) -> Verdict:
-    """In both turns and after the jump at most half of the SRCKF's error."""
+    """In both turns and after the jump below three quarters of the SRCKF's error."""
     numbers = {}
     held = True
     for first, last in ((31, 60), (81, 90), (91, 120)):

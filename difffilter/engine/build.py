@@ -47,11 +47,21 @@ def build(source: str) -> ctypes.CDLL:
     cc = compiler()
     if cc is None:
         raise InputError("engine: found no C compiler, expected cc or gcc (or DIFFFILTER_CC)")
-    key = "\n".join([source, cc, *FLAGS, platform.platform(), platform.processor()])
+    key = "\n".join([source, cc, *FLAGS, platform.platform(), _processor()])
     path = cache_folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     if not path.is_file():
         _compile(cc, source, path)
     return ctypes.CDLL(str(path))
+
+
+def _processor() -> str:
+    """What -march=native depends on: a home folder may serve several machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    kept = [line for line in lines if line.startswith(("model name", "flags", "Features"))]
+    return "\n".join(sorted(set(kept))) or platform.processor()
 
 
 def _compile(cc: str, source: str, path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from io import BytesIO
 from pathlib import Path
 
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -41,5 +42,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     for suffix in (".png", ".svg"):
         buffer = BytesIO()
         metadata = {"Date": None} if suffix == ".svg" else None
-        figure.savefig(buffer, format=suffix[1:], dpi=130, metadata=metadata)
+        # A fixed salt: the same figure has the same ids, and the file the same bytes.
+        with rc_context({"svg.hashsalt": "difffilter"}):
+            figure.savefig(buffer, format=suffix[1:], dpi=130, metadata=metadata)
         write_atomically(path.with_suffix(suffix), buffer.getvalue())

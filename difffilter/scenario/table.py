@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 from difffilter.errors import InputError
 
-__all__ = ["MEASURES", "UNITS", "Table"]
+__all__ = ["MEASURES", "Table"]
 
 _REQUIRED = object()
 
@@ -19,8 +19,6 @@ MEASURES = {
     "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "us": 299.792458, "ns": 0.299792458},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
 }
-#: Every unit with a factor.
-UNITS = {name: factor for names in MEASURES.values() for name, factor in names.items()}
 
 
 class Table:
