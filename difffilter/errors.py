@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-__all__ = ["CheckpointError", "DifffilterError", "InputError", "LogError", "NonFiniteError"]
+__all__ = [
+    "CheckpointError",
+    "DifffilterError",
+    "EngineError",
+    "InputError",
+    "LogError",
+    "NonFiniteError",
+]
 
 
 class DifffilterError(Exception):
@@ -19,6 +26,10 @@ class LogError(InputError):
 
 class CheckpointError(InputError):
     """A checkpoint that is damaged, of another version or does not fit."""
+
+
+class EngineError(InputError):
+    """The fused engine cannot run this here: no compiler, or an operation without a rule."""
 
 
 class NonFiniteError(DifffilterError, ArithmeticError):

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from difffilter.errors import InputError
 
-__all__ = ["Log", "Start", "stack_logs"]
+__all__ = ["Log", "Rows", "Start", "stack_logs"]
 
 
 #: Inputs with one entry per channel.
@@ -33,8 +33,10 @@ class Start:
 
 
 @dataclass(frozen=True)
-class Log:
-    """Rows of measurements; the first dimension is time, ``...`` the trajectories.
+class Rows:
+    """Rows of measurements as they are, unchecked: what losses and metrics read.
+
+    A :class:`Log` is checked rows; a traced step makes single ones.
 
     Attributes:
         channels: names of the m channels.
@@ -55,6 +57,37 @@ class Log:
     inputs: Mapping[str, Tensor] = field(default_factory=dict)
     start: Start | None = None
     names: tuple[str, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Number of rows."""
+        return self.z.shape[0]
+
+    @property
+    def trajectories(self) -> int:
+        """Number of trajectories (1 for a log without that dimension)."""
+        return self.z.shape[1] if self.z.dim() > 2 else 1
+
+    @property
+    def present(self) -> Tensor:
+        """(T, ..., m), whether a channel was measured."""
+        return ~torch.isnan(self.z)
+
+    @property
+    def measured(self) -> Tensor:
+        """(T, ...), whether a row has at least one measurement."""
+        return self.present.any(-1)
+
+
+@dataclass(frozen=True)
+class Log(Rows):
+    """Checked rows of measurements; the first dimension is time, ``...`` the trajectories.
+
+    Attributes as those of :class:`Rows`.
+
+    Raises:
+        InputError: shapes that do not fit, infinite measurements, times that are not finite.
+    """
 
     def __post_init__(self) -> None:
         if self.z.shape[-1] != len(self.channels):
@@ -85,26 +118,6 @@ class Log:
                     f"log: found input {name} of shape {list(value.shape)}, "
                     f"expected {self.steps} rows"
                 )
-
-    @property
-    def steps(self) -> int:
-        """Number of rows."""
-        return self.z.shape[0]
-
-    @property
-    def trajectories(self) -> int:
-        """Number of trajectories (1 for a log without that dimension)."""
-        return self.z.shape[1] if self.z.dim() > 2 else 1
-
-    @property
-    def present(self) -> Tensor:
-        """(T, ..., m), whether a channel was measured."""
-        return ~torch.isnan(self.z)
-
-    @property
-    def measured(self) -> Tensor:
-        """(T, ...), whether a row has at least one measurement."""
-        return self.present.any(-1)
 
     def intervals(self, start: float | None = None) -> Tensor:
         """dt before each row, (T,) or (T, ...); 0 at the first row without a start time."""

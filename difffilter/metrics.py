@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.log import Log
+from difffilter.log import Rows
 from difffilter.motion import AXES
 from difffilter.run import Track
 from difffilter.seeds import stream
@@ -21,8 +21,10 @@ __all__ = [
     "isolated",
     "mean_nees",
     "nees",
+    "nees_states",
     "nis_per_channel",
     "paired_ratio",
+    "position_difference",
     "position_error",
     "rejected",
     "rmse",
@@ -47,7 +49,7 @@ class Score:
     last: float = math.inf
 
 
-def _position_states(log: Log, track: Track) -> list[str]:
+def _position_states(log: Rows, track: Track) -> list[str]:
     names = [name for name in track.states if name in AXES]
     missing = [name for name in names if name not in log.truth_states]
     if log.truth is None or not names or missing:
@@ -57,7 +59,12 @@ def _position_states(log: Log, track: Track) -> list[str]:
     return names
 
 
-def _difference(log: Log, track: Track, names: list[str]) -> Tensor:
+def position_difference(log: Rows, track: Track) -> Tensor:
+    """(T, ..., axes), estimated minus true position, m; 0 where either is missing."""
+    return _difference(log, track, _position_states(log, track))
+
+
+def _difference(log: Rows, track: Track, names: list[str]) -> Tensor:
     """Estimate minus truth; 0 where either is missing, so that no NaN enters a gradient."""
     assert log.truth is not None
     truth = log.truth[..., [log.truth_states.index(name) for name in names]]
@@ -65,15 +72,15 @@ def _difference(log: Log, track: Track, names: list[str]) -> Tensor:
     return torch.where(torch.isfinite(truth) & torch.isfinite(mean), mean - truth.nan_to_num(), 0.0)
 
 
-def position_error(log: Log, track: Track) -> Tensor:
+def position_error(log: Rows, track: Track) -> Tensor:
     """(T, ...), squared distance of the estimated to the true position, m^2.
 
     0 where there is no truth or no estimate: sum over :func:`scored_rows` only.
     """
-    return _difference(log, track, _position_states(log, track)).square().sum(-1)
+    return position_difference(log, track).square().sum(-1)
 
 
-def scored_rows(log: Log, track: Track, score: Score | str = "all") -> Tensor:
+def scored_rows(log: Rows, track: Track, score: Score | str = "all") -> Tensor:
     """(T, ...), rows that count: those with truth and an estimate, as ``score`` says.
 
     Args:
@@ -89,13 +96,13 @@ def scored_rows(log: Log, track: Track, score: Score | str = "all") -> Tensor:
     return rows & log.measured if chosen.rows == "measured" else rows
 
 
-def rmse(log: Log, track: Track, score: Score | str = "all") -> Tensor:
+def rmse(log: Rows, track: Track, score: Score | str = "all") -> Tensor:
     """Position root mean square error over scored rows of all trajectories, m."""
     rows = scored_rows(log, track, score)
     return position_error(log, track)[rows].mean().sqrt()
 
 
-def nees(log: Log, track: Track, per_position: bool = False) -> Tensor:
+def nees(log: Rows, track: Track, per_position: bool = False) -> Tensor:
     """(T, ...), normalised estimation error squared e^T P^-1 e over the true states.
 
     Divide by the number of those states for the NEES per state, expected 1.
@@ -128,7 +135,7 @@ def nees(log: Log, track: Track, per_position: bool = False) -> Tensor:
     return torch.where(singular, torch.nan, white.squeeze(-1).square().sum(-1))
 
 
-def mean_nees(log: Log, track: Track, rows: Tensor) -> Tensor:
+def mean_nees(log: Rows, track: Track, rows: Tensor) -> Tensor:
     """Mean NEES per state over ``rows`` (T, ...) with a regular covariance; 1 expected."""
     squared = nees(log, track)
     rows = rows & ~torch.isnan(squared)
@@ -136,7 +143,7 @@ def mean_nees(log: Log, track: Track, rows: Tensor) -> Tensor:
     return total / rows.sum() / nees_states(log, track)
 
 
-def nees_states(log: Log, track: Track, per_position: bool = False) -> int:
+def nees_states(log: Rows, track: Track, per_position: bool = False) -> int:
     """Number of states that :func:`nees` covers."""
     if per_position:
         return len(_position_states(log, track))

@@ -10,15 +10,14 @@ from torch import Tensor
 from tqdm import tqdm
 
 from difffilter.belief import Belief, Measurement, Record, belief
+from difffilter.engine.choice import ENGINES, eager_seconds, with_engine
 from difffilter.errors import InputError, NonFiniteError
 from difffilter.filter import Filter
 from difffilter.log import Log, Start
 from difffilter.parameters import Values
 from difffilter.step import step
 
-__all__ = ["ENGINES", "Track", "run", "start_belief"]
-
-ENGINES = ("torch", "fused")
+__all__ = ["ENGINES", "Track", "prepared", "run", "start_belief"]
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ def run(
     *,
     temperature: float | None = None,
     progress: bool = False,
-    engine: str = "torch",
+    engine: str = "auto",
 ) -> Track:
     """Run the filter over a log, all trajectories at once.
 
@@ -97,12 +96,44 @@ def run(
             dt; the log's own if None.
         temperature: None runs the frozen, hard form.
         progress: show a bar if it takes over two seconds.
-        engine: ``torch``, or ``fused``: the same step traced, compiled to C and cached (see
-            :mod:`difffilter.engine`): float64, without gradient, needs a C compiler.
+        engine: ``torch``; ``fused``: the same step traced, compiled to C and cached (see
+            :mod:`difffilter.engine`): float64, without gradient, needs a C compiler; or
+            ``auto``: fused where it can and the log is long enough to pay for it.
 
     Raises:
         InputError: channels or shapes that do not fit, no start.
         NonFiniteError: names the first trajectory, step and state or channel.
+    """
+    constants, current, intervals = prepared(filter, log, values, start, temperature)
+
+    def fused() -> Track:
+        from difffilter.engine.fused import Job, forward
+
+        job = Job(filter, constants, log, current, intervals)
+        return Track(filter.states, filter.channels, log.time, *forward(job))
+
+    def plain() -> Track:
+        return _eager(filter, constants, log, current, intervals, progress)
+
+    given = (*constants.values(), log.z, current.mean, current.deviations)
+    differentiable = torch.is_grad_enabled() and any(x.requires_grad for x in given)
+    if differentiable and engine == "fused":
+        raise InputError("engine fused: found values with gradient, expected none")
+    track = with_engine("torch" if differentiable else engine, fused, plain, eager_seconds(log))
+    check_finite(track)
+    return track
+
+
+def prepared(
+    filter: Filter,
+    log: Log,
+    values: Values | None = None,
+    start: Start | Belief | None = None,
+    temperature: float | None = None,
+) -> tuple[Values, Belief, Tensor]:
+    """Constants of a run, the belief of each trajectory at its start, dt before each row.
+
+    Arguments and errors as those of :func:`run`.
     """
     if log.channels != filter.channels:
         raise InputError(
@@ -128,18 +159,18 @@ def run(
     current = filter.start(fitted.mean, fitted.deviations)
     if isinstance(start, Belief):
         current = current._replace(memory={**current.memory, **start.memory})
-    intervals = log.intervals(at)
-    if engine not in ENGINES:
-        raise InputError(f"engine: found {engine!r}, expected {' or '.join(ENGINES)}")
-    if engine == "fused":
-        from difffilter.engine.fused import forward
+    return constants, current, log.intervals(at)
 
-        if torch.is_grad_enabled() and any(x.requires_grad for x in constants.values()):
-            raise InputError("engine fused: found values with gradient, expected none")
-        found = forward(filter, constants, log, current, intervals)
-        track = Track(filter.states, filter.channels, log.time, *found)
-        check_finite(track)
-        return track
+
+def _eager(
+    filter: Filter,
+    constants: Values,
+    log: Log,
+    current: Belief,
+    intervals: Tensor,
+    progress: bool,
+) -> Track:
+    """The steps one after the other, by torch."""
     rows = log.z.movedim(-1, 1).contiguous().movedim(1, -1)  # trajectories last in memory
     means, deviations, records = [], [], []
     for t in tqdm(range(log.steps), desc="filter", unit="step", delay=2.0, disable=not progress):
@@ -149,7 +180,7 @@ def run(
         means.append(current.mean)
         deviations.append(current.deviations)
         records.append(record)
-    track = Track(
+    return Track(
         filter.states,
         filter.channels,
         log.time,
@@ -158,8 +189,6 @@ def run(
         Record(*(torch.stack(field) for field in zip(*records, strict=True))),
         current,
     )
-    check_finite(track)
-    return track
 
 
 def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:

@@ -160,7 +160,7 @@ def test_a_value_that_is_not_finite_is_named_by_trajectory_step_and_channel() ->
 
 def test_what_the_engine_cannot_do_is_an_error() -> None:
     chosen, log = shortened("gate-lockout", "ekf", {})
-    with pytest.raises(InputError, match="engine: found 'gpu', expected torch or fused"):
+    with pytest.raises(InputError, match="engine: found 'gpu', expected one of auto, torch, fused"):
         run(chosen, log, engine="gpu")
     single = {name: value.float() for name, value in chosen.published().items()}
     with pytest.raises(InputError, match=r"found torch\.float32, expected float64"):

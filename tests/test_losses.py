@@ -30,7 +30,7 @@ NAN = torch.nan
 
 
 def loss(name: str, track: Track = TRACK, log: Log = LOG, context: LossContext = CONTEXT) -> Tensor:
-    return LOSSES[name].function(track, log, context)
+    return LOSSES[name](track, log, context)
 
 
 def test_position_is_the_log_of_the_mean_square() -> None:

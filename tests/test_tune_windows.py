@@ -103,8 +103,8 @@ def test_a_loss_over_all_windows_counts_each_row_once(tmp_path: Path, name: str)
     parts = run(filter, batch.log, None, batch.start)
     whole = run(filter, log, None, data.start)
     context = LossContext(score="measured")
-    found = LOSSES[name].function(parts, batch.log, context)
-    expected = LOSSES[name].function(whole, log, context)
+    found = LOSSES[name](parts, batch.log, context)
+    expected = LOSSES[name](whole, log, context)
     assert float(found) == pytest.approx(float(expected), rel=1e-9)
 
 

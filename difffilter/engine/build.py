@@ -12,7 +12,7 @@ import tempfile
 from functools import lru_cache
 from pathlib import Path
 
-from difffilter.errors import InputError
+from difffilter.errors import EngineError
 
 __all__ = ["build", "cache_folder", "compiler"]
 
@@ -21,6 +21,8 @@ FLAGS = (
     "-std=gnu11", "-O2", "-march=native", "-fopenmp", "-fno-math-errno", "-fno-trapping-math",
     "-ffp-contract=fast", "-fPIC", "-shared", "-w",
 )  # fmt: skip
+if platform.machine().lower() in ("x86_64", "amd64"):
+    FLAGS += ("-mprefer-vector-width=512",)
 
 
 def compiler() -> str | None:
@@ -42,11 +44,11 @@ def build(source: str) -> ctypes.CDLL:
     """The compiled library; from the cache where it is there.
 
     Raises:
-        InputError: no compiler, or one that fails (its first line of complaint).
+        EngineError: no compiler, or one that fails (its first line of complaint).
     """
     cc = compiler()
     if cc is None:
-        raise InputError("engine: found no C compiler, expected cc or gcc (or DIFFFILTER_CC)")
+        raise EngineError("engine: found no C compiler, expected cc or gcc (or DIFFFILTER_CC)")
     key = "\n".join([source, cc, *FLAGS, platform.platform(), _processor()])
     path = cache_folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
     if not path.is_file():
@@ -73,5 +75,5 @@ def _compile(cc: str, source: str, path: Path) -> None:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             complaint = (done.stderr.strip() or "no message").splitlines()[0]
-            raise InputError(f"engine: {cc} failed: {complaint}")
+            raise EngineError(f"engine: {cc} failed: {complaint}")
         os.replace(made, path)  # atomic: another process sees all of it or nothing

@@ -1,65 +1,81 @@
-"""Run a filter over a log with the fused engine: forward, without gradient."""
+"""Run a filter, or sum its losses with their gradient, by a compiled step."""
 
 from __future__ import annotations
 
 import ctypes
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from difffilter.belief import Belief, Record
 from difffilter.engine.build import build
-from difffilter.engine.emit import source
-from difffilter.engine.trace import Traced, trace
-from difffilter.errors import InputError
+from difffilter.engine.kernels import run_source, sums_source
+from difffilter.engine.trace import Layout, Objective, Traced, trace
+from difffilter.errors import EngineError
 from difffilter.filter import Filter
-from difffilter.log import Log
+from difffilter.log import Rows
 from difffilter.parameters import Values
 
-__all__ = ["forward"]
+__all__ = ["Job", "Tangents", "forward", "sums", "traced_step"]
 
 Results = tuple[Tensor, Tensor, Record, Belief]
 #: The last traced steps, by filter and shapes; the filter is kept so that its id stays its own.
-_KEPT: OrderedDict[tuple[object, ...], tuple[Filter, Traced, str]] = OrderedDict()
+_KEPT: OrderedDict[tuple[object, ...], tuple[Filter, Traced]] = OrderedDict()
 MOST = 64
+#: The last sources, by traced step and kind: writing them takes a moment too.
+_SOURCES: OrderedDict[tuple[object, ...], tuple[Traced, str]] = OrderedDict()
 
 
-def forward(
-    filter: Filter, constants: Values, log: Log, start: Belief, intervals: Tensor
-) -> Results:
+class Job(NamedTuple):
+    """What a compiled step runs on.
+
+    Attributes:
+        filter, constants: as for :func:`difffilter.step`.
+        log: rows, z (T, m) or (T, ..., m).
+        start: fitted to the trajectories.
+        intervals: dt before each row, (T,) or (T, ...).
+    """
+
+    filter: Filter
+    constants: Values
+    log: Rows
+    start: Belief
+    intervals: Tensor
+
+
+class Tangents(NamedTuple):
+    """Derivatives towards p directions: of the packed constants (p, C), of starts or None.
+
+    Attributes:
+        active: names of the constants that have any.
+        start: (p, ..., S), or None where the start has none.
+    """
+
+    constants: Tensor
+    active: frozenset[str]
+    start: Tensor | None
+
+
+def forward(job: Job) -> Results:
     """Means (T, ..., n), deviations (T, ..., n, n), the record and the last belief.
 
-    Args:
-        filter, constants: as for :func:`difffilter.step`.
-        log: z (T, m) or (T, ..., m); start: fitted to its trajectories.
-        intervals: dt before each row, (T,) or (T, ...).
-
     Raises:
-        InputError: not float64; an operation without a rule, named with its line; no
+        EngineError: not float64; an operation without a rule, named with its line; no
             compiler.
     """
-    if log.z.dtype != torch.float64:
-        raise InputError(f"engine fused: found {log.z.dtype}, expected float64")
-    lead = tuple(log.z.shape[1:-1])
-    inputs = {name: _per_row(value, lead) for name, value in log.inputs.items()}
-    traced, text = _traced(filter, constants, start, inputs, len(lead))
-    rows = {"z": log.z, "dt": _per_row(intervals, lead), **inputs}
-    state = {"mean": start.mean, "deviations": start.deviations, **start.memory}
-    packed = [
-        traced.constants.pack(constants, ()),
-        traced.state.pack(state, lead),
-        traced.row.pack(rows, (log.steps, *lead)),
-    ]
-    size = log.z[0, ..., 0].numel()
+    lead, rows = _rows(job)
+    traced = traced_step(job, rows, len(lead))
+    library = build(_source(traced, "run", run_source))
+    steps, size = job.log.steps, max(job.log.z[0, ..., 0].numel(), 1)
     made = [
-        torch.empty(log.steps, size, max(width, 1), dtype=torch.float64)
+        torch.empty(steps, size, max(width, 1), dtype=torch.float64)
         for width in (traced.state.size, traced.output.size)
     ]
-    pointers = [ctypes.c_void_p(x.data_ptr()) for x in (*packed, *made)]
-    build(text).run(ctypes.c_long(log.steps), ctypes.c_long(size), *pointers)
-    states, outputs = (x.reshape(log.steps, *lead, -1) for x in made)
+    library.run(*_arguments(traced, job, rows, lead), *(_pointer(x) for x in made))
+    states, outputs = (x.reshape(steps, *lead, -1) for x in made)
     found, fields = traced.state.unpack(states), traced.output.unpack(outputs)
     for name in ("present", "isolated"):
         fields[name] = fields[name] != 0.0
@@ -68,34 +84,148 @@ def forward(
     return means, deviations, Record(**fields), final
 
 
-def _traced(
-    filter: Filter, constants: Values, start: Belief, inputs: Mapping[str, Tensor], lead: int
-) -> tuple[Traced, str]:
-    """The traced step and its C source, from memory where filter and shapes are the same."""
+def sums(
+    job: Job, objective: Objective, tangents: Tangents | None
+) -> tuple[tuple[int, ...], Tensor, Tensor, Tensor, Tensor]:
+    """What the rows of each trajectory add to the losses' sums, with derivatives.
 
-    def single(x: Tensor, first: int) -> Tensor:
-        return x[(0,) * first]
+    Returns:
+        how many sums each loss has, the sums (B, q), their tangents (B, p, q), J^T J of the residuals (B, p, p), and the first
+        step with a belief that is not finite (B,), -1 for none. p = 0 without tangents.
 
+    Raises:
+        EngineError: as for :func:`forward`.
+    """
+    lead, rows = _rows(job, objective)
+    traced = traced_step(job, rows, len(lead), objective)
+    moving = tangents.active if tangents else frozenset()
+    active = _places(traced.constants, moving)
+    given = tangents.start if tangents else None
+    states = set() if given is None else set(range(traced.state.size))
+    text = _source(
+        traced,
+        ("sums", moving, given is None),
+        lambda t: sums_source(t, active if tangents else None, states),
+    )
+    library = build(text)
+    size = job.log.z[0, ..., 0].numel()
+    p = len(tangents.constants) if tangents else 0
+    sizes = tuple(map(len, traced.sums))
+    q = sum(sizes)
+    total, dtotal = torch.zeros(size, q, dtype=torch.float64), torch.zeros(size, p, q).double()
+    gram, bad = torch.zeros(size, p, p).double(), torch.zeros(size, dtype=torch.long)
+    dc = tangents.constants.contiguous() if tangents else total
+    ds = None if given is None else given.reshape(p, size, -1).contiguous()
+    failed = library.sums(
+        *_arguments(traced, job, rows, lead),
+        ctypes.c_long(p),
+        _pointer(dc),
+        None if ds is None else _pointer(ds),
+        *(_pointer(x) for x in (total, dtotal, gram, bad)),
+    )
+    if failed:
+        raise EngineError("engine fused: found no memory for its tangents")
+    return sizes, total, dtotal, gram, bad
+
+
+def traced_step(
+    job: Job, rows: Mapping[str, Tensor], lead: int, objective: Objective | None = None
+) -> Traced:
+    """The traced step, from memory where filter and shapes are the same."""
+    start = job.start
     one = Belief(
-        single(start.mean, lead),
-        single(start.deviations, lead),
-        {name: single(value, lead) for name, value in start.memory.items()},
+        _single(start.mean, lead),
+        _single(start.deviations, lead),
+        {name: _single(value, lead) for name, value in start.memory.items()},
     )
-    row = {name: single(value, 1 + lead) for name, value in inputs.items()}
+    row = {
+        name: _single(value, 1 + lead) for name, value in rows.items() if name not in ("z", "dt")
+    }
     shapes = tuple(
-        (name, tuple(x.shape)) for part in (constants, one.memory, row) for name, x in part.items()
+        (name, tuple(x.shape))
+        for part in (job.constants, one.memory, row)
+        for name, x in part.items()
     )
-    key = (id(filter), shapes)
+    key = (id(job.filter), shapes, objective)
     if key not in _KEPT:
-        traced = trace(filter, constants, one, row)
-        _KEPT[key] = (filter, traced, source(traced))
+        _KEPT[key] = (job.filter, trace(job.filter, job.constants, one, row, objective))
         if len(_KEPT) > MOST:
             _KEPT.popitem(last=False)
     _KEPT.move_to_end(key)
-    _, traced, text = _KEPT[key]
-    return traced, text
+    return _KEPT[key][1]
 
 
-def _per_row(x: Tensor, lead: tuple[int, ...]) -> Tensor:
-    """(T,), shared by all trajectories, as (T, ...); others as they are."""
-    return x.reshape(-1, *[1] * len(lead)).expand(-1, *lead) if x.dim() == 1 else x
+def _source(traced: Traced, kind: object, write: Callable[[Traced], str]) -> str:
+    key = (id(traced), kind)
+    if key not in _SOURCES:
+        _SOURCES[key] = (traced, write(traced))
+        if len(_SOURCES) > MOST:
+            _SOURCES.popitem(last=False)
+    _SOURCES.move_to_end(key)
+    return _SOURCES[key][1]
+
+
+def _rows(job: Job, objective: Objective | None = None) -> tuple[tuple[int, ...], dict[str, Tensor]]:
+    """Leading dimensions, and what a row holds: (T, *lead, ...) by name, broadcast."""
+    log = job.log
+    if log.z.dtype != torch.float64:
+        raise EngineError(f"engine fused: found {log.z.dtype}, expected float64")
+    lead = tuple(log.z.shape[1:-1])
+    rows = {"z": log.z, "dt": job.intervals, **log.inputs}
+    if objective is not None:
+        rows["time"] = log.time
+        if log.truth is not None:
+            rows["truth"] = log.truth
+    return lead, {name: _broadcast(value, log.steps, lead) for name, value in rows.items()}
+
+
+def _broadcast(x: Tensor, steps: int, lead: tuple[int, ...]) -> Tensor:
+    """(T,), shared by all trajectories, as (T, *lead); others over their leading dimensions."""
+    x = x.detach().to(torch.float64)
+    if x.dim() == 1:
+        x = x.reshape(-1, *[1] * len(lead))
+    return x.expand(steps, *lead, *x.shape[1 + len(lead) :])
+
+
+def _arguments(
+    traced: Traced, job: Job, rows: Mapping[str, Tensor], lead: tuple[int, ...]
+) -> list[Any]:
+    """What both compiled functions begin with; the arrays live as long as the list."""
+    state = {"mean": job.start.mean, "deviations": job.start.deviations, **job.start.memory}
+    packed = [traced.constants.pack(job.constants, ()), traced.state.pack(state, lead)]
+    flat = [_flat(rows[name], len(lead)) for name in traced.row.shapes]
+    pointers = (ctypes.c_void_p * len(flat))(*(x.data_ptr() for x in flat))
+    along = (ctypes.c_long * len(flat))(*(x.stride(0) for x in flat))
+    across = (ctypes.c_long * len(flat))(*(x.stride(1) for x in flat))
+    pointers.keep = flat  # type: ignore[attr-defined]
+    size = job.log.z[0, ..., 0].numel()
+    count = [ctypes.c_long(job.log.steps), ctypes.c_long(size)]
+    return [*count, *(_pointer(x) for x in packed), pointers, along, across]
+
+
+def _flat(x: Tensor, lead: int) -> Tensor:
+    """(T, B, ...) with the numbers of a row side by side; no copy of plain or shared rows."""
+    x = x.unsqueeze(1) if lead == 0 else x.flatten(1, lead) if lead > 1 else x
+    return x if x[0, 0].is_contiguous() else x.contiguous()
+
+
+def _pointer(x: Tensor) -> ctypes.c_void_p:
+    found = ctypes.c_void_p(x.data_ptr())
+    found.keep = x  # type: ignore[attr-defined]
+    return found
+
+
+def _places(layout: Layout, names: Sequence[str] | frozenset[str]) -> set[int]:
+    """Places of named tensors in a packed row."""
+    found: set[int] = set()
+    at = 0
+    for name, shape in layout.shapes.items():
+        count = layout.count(shape)
+        if name in names:
+            found |= set(range(at, at + count))
+        at += count
+    return found
+
+
+def _single(x: Tensor, first: int) -> Tensor:
+    return x[(0,) * first]

@@ -10,7 +10,7 @@ import torch
 from torch.fx import GraphModule, Node
 
 from difffilter.engine.program import Program
-from difffilter.errors import InputError
+from difffilter.errors import EngineError
 
 __all__ = ["Lowering"]
 
@@ -28,7 +28,7 @@ class Lowering:
         self.program = program
 
     def run(self, graph: GraphModule, inputs: Sequence[Array]) -> list[Any]:
-        """Outputs of the graph; InputError names an operation that has no rule, and its line."""
+        """Outputs of the graph; EngineError names an operation that has no rule, and its line."""
         values: dict[Node, Any] = {}
         feed = iter(inputs)
         for node in graph.graph.nodes:
@@ -45,10 +45,10 @@ class Lowering:
                 name = "getitem" if "getitem" in name else name.partition(".")[2]
                 rule = getattr(self, "op_" + name.split(".")[0].strip("_"), None)
                 if rule is None:
-                    raise InputError(f"engine: no rule for {name}{_where(node)}")
+                    raise EngineError(f"engine: no rule for {name}{_where(node)}")
                 self.name = name
                 values[node] = rule(*arguments, **options)
-        raise InputError("engine: found a graph without output")
+        raise EngineError("engine: found a graph without output")
 
     # Making arrays
 
@@ -167,6 +167,14 @@ class Lowering:
 
     op_logical_not = op_bitwise_not
 
+    def op_nan_to_num(
+        self, x: Any, nan: Any = None, posinf: Any = None, neginf: Any = None
+    ) -> Array:
+        largest = float(np.finfo(np.float64).max)
+        x = self.map("select", self.map("isnan", x), 0.0 if nan is None else nan, x)
+        x = self.map("select", self.map("eq", x, np.inf), posinf or largest, x)
+        return self.map("select", self.map("eq", x, -np.inf), neginf or -largest, x)
+
     # Reductions
 
     def op_sum(self, x: Array, dim: Any = None, keepdim: bool = False, dtype: Any = None) -> Array:
@@ -257,6 +265,26 @@ class Lowering:
                 b[..., j, :] = self.map("sub", b[..., j, :], self.map("mul", factor, b[..., i, :]))
         x = self.op_linalg_solve_triangular(a, b, upper=True)
         return (x[..., 0] if vector else x), None, None, None
+
+    def op_linalg_cholesky_ex(
+        self, a: Array, *, upper: bool = False, check_errors: bool = False
+    ) -> tuple[Array, Array]:
+        """L, and whether a pivot was not above zero (LAPACK tells which one was first)."""
+        n = a.shape[-1]
+        made = self.constant(np.zeros(a.shape))
+        failed = self.constant(np.zeros(a.shape[:-2]))
+        for j in range(n):
+            for i in range(j, n):
+                left = a[..., i, j]
+                for k in range(j):
+                    product = self.map("mul", made[..., i, k], made[..., j, k])
+                    left = self.map("sub", left, product)
+                if i == j:
+                    failed = self.map("or", failed, self.map("not", self.map("gt", left, 0.0)))
+                    made[..., j, j] = self.map("sqrt", left)
+                else:
+                    made[..., i, j] = self.map("div", left, made[..., j, j])
+        return (np.swapaxes(made, -1, -2) if upper else made), failed
 
     def op_linalg_check_errors(self, *_: Any, **__: Any) -> None:
         return None
@@ -369,7 +397,7 @@ class Lowering:
     def _chosen(self, x: Array, indices: Sequence[Any]) -> Array:
         """One index that is itself computed: a chain of choices."""
         if len(indices) != 1:
-            raise InputError("engine: no rule for several computed indices")
+            raise EngineError("engine: no rule for several computed indices")
         index = indices[0].reshape(*indices[0].shape, *[1] * (x.ndim - 1))
         made = _array(np.broadcast_to(_array(x[0]), np.shape(indices[0]) + x.shape[1:]))
         for i in range(1, x.shape[0]):

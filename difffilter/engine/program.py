@@ -149,6 +149,11 @@ class Program:
         assert isinstance(argument, int)
         return argument
 
+    def arguments(self, node: int) -> tuple[int, ...]:
+        """The nodes that an operation reads; none for a constant or an input."""
+        op, *rest = self.nodes[node]
+        return () if op in ("const", "input") else tuple(rest)  # type: ignore[arg-type]
+
     def live(self, outputs: Sequence[int]) -> list[int]:
         """Nodes that outputs need, in order."""
         needed, stack = set(), list(outputs)
@@ -157,7 +162,5 @@ class Program:
             if node in needed:
                 continue
             needed.add(node)
-            op, *rest = self.nodes[node]
-            if op not in ("const", "input"):
-                stack.extend(rest)  # type: ignore[arg-type]
+            stack.extend(self.arguments(node))
         return sorted(needed)

@@ -15,10 +15,13 @@ from difffilter.belief import Belief, Measurement, Record
 from difffilter.engine.lower import Array, Lowering
 from difffilter.engine.program import Program
 from difffilter.filter import Filter
+from difffilter.log import Rows
+from difffilter.losses import LOSSES, LossContext
 from difffilter.parameters import Values
+from difffilter.run import Track
 from difffilter.step import step
 
-__all__ = ["Layout", "Traced", "trace"]
+__all__ = ["Layout", "Objective", "Traced", "trace"]
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,12 @@ class Layout:
     @property
     def size(self) -> int:
         """How many numbers."""
-        return sum(int(np.prod(shape)) for shape in self.shapes.values())
+        return sum(self.count(shape) for shape in self.shapes.values())
+
+    @staticmethod
+    def count(shape: tuple[int, ...]) -> int:
+        """How many numbers a shape holds."""
+        return int(np.prod(shape))
 
     def pack(self, values: Mapping[str, Tensor], lead: tuple[int, ...]) -> Tensor:
         """(*lead, size) of tensors whose leading dimensions broadcast to ``lead``."""
@@ -46,7 +54,7 @@ class Layout:
         """Tensors (*lead, *shape) of (*lead, size)."""
         found, at = {}, 0
         for name, shape in self.shapes.items():
-            count = int(np.prod(shape))
+            count = self.count(shape)
             found[name] = packed[..., at : at + count].reshape(*packed.shape[:-1], *shape)
             at += count
         return found
@@ -55,7 +63,7 @@ class Layout:
         """Arrays of input nodes, one per name."""
         made, at = [], 0
         for shape in self.shapes.values():
-            count = int(np.prod(shape))
+            count = self.count(shape)
             nodes = [program.input(group, at + i) for i in range(count)]
             made.append(np.array(nodes, dtype=object).reshape(shape))
             at += count
@@ -71,6 +79,8 @@ class Traced:
             measurement, dt and known inputs.
         output: layout of the record.
         next_state, results: node of each number of the new state, and of the record.
+        sums, residuals: of each number that a row adds to the sums of each loss, and of those
+            whose squares Gauss-Newton works on; empty without an objective.
     """
 
     program: Program
@@ -80,12 +90,36 @@ class Traced:
     output: Layout
     next_state: list[int]
     results: list[int]
+    sums: list[list[int]]
+    residuals: list[int]
+
+
+@dataclass(frozen=True)
+class Objective:
+    """Losses to trace behind the step.
+
+    Attributes:
+        losses: names, see :data:`difffilter.losses.LOSSES`.
+        context: what they need beside track and log.
+        truth_states: names of the true states of a row.
+    """
+
+    losses: tuple[str, ...]
+    context: LossContext
+    truth_states: tuple[str, ...]
 
 
 def trace(
-    filter: Filter, constants: Values, belief: Belief, inputs: Mapping[str, Tensor]
+    filter: Filter,
+    constants: Values,
+    belief: Belief,
+    inputs: Mapping[str, Tensor],
+    objective: Objective | None = None,
 ) -> Traced:
-    """Trace one step for an unbatched belief and inputs (shapes are all that counts)."""
+    """Trace one step for an unbatched belief and inputs (shapes are all that counts).
+
+    With an objective, ``inputs`` hold the row's ``truth`` and ``time`` too.
+    """
     names = list(constants)
     known, memory = list(inputs), list(belief.memory)
     m = len(filter.channels)
@@ -94,11 +128,14 @@ def trace(
         before = Belief(state[0], state[1], dict(zip(memory, state[2:], strict=True)))
         measurement = Measurement(row[0], row[1], dict(zip(known, row[2:], strict=True)))
         after, record = step(filter, dict(zip(names, cs, strict=True)), before, measurement)
+        sums, residuals = _objective(filter, objective, measurement, after, record)
         return [
             after.mean,
             after.deviations,
             *(after.memory[name] for name in memory),
             *record,
+            *sums,
+            *residuals,
         ]
 
     dtype = torch.float64
@@ -119,9 +156,53 @@ def trace(
         for array in layout.inputs(program, group)
     ]
     found = Lowering(program).run(graph, feed)
-    new_state, record = found[: len(state)], found[len(state) :]
+    new_state, found = found[: len(state)], found[len(state) :]
+    record, found = found[: len(Record._fields)], found[len(Record._fields) :]
     output = Layout({name: np.shape(x) for name, x in zip(Record._fields, record, strict=True)})
-    return Traced(program, *layouts, output, _nodes(new_state), _nodes(record))
+    count = len(objective.losses) if objective else 0
+    return Traced(
+        program,
+        *layouts,
+        output,
+        _nodes(new_state),
+        _nodes(record),
+        [_nodes([part]) for part in found[:count]],
+        _nodes(found[count:]),
+    )
+
+
+def _objective(
+    filter: Filter,
+    objective: Objective | None,
+    measurement: Measurement,
+    after: Belief,
+    record: Record,
+) -> tuple[list[Tensor], list[Tensor]]:
+    """What one row adds to each loss's sums, and the residuals of those that have some."""
+    if objective is None:
+        return [], []
+    inputs = {name: value.unsqueeze(0) for name, value in measurement.inputs.items()}
+    time = inputs["time"]
+    truth = inputs.get("truth")
+    rows = Rows(
+        filter.channels, time, measurement.z.unsqueeze(0), truth, objective.truth_states, inputs
+    )
+    track = Track(
+        filter.states,
+        filter.channels,
+        time,
+        after.mean.unsqueeze(0),
+        after.deviations.unsqueeze(0),
+        Record(*(x.unsqueeze(0) for x in record)),
+    )
+    losses = [LOSSES[name] for name in objective.losses]
+    sums = [loss.rows(track, rows, objective.context).squeeze(0) for loss in losses]
+    residuals = [
+        loss.residuals(track, rows, objective.context).squeeze(0)
+        for loss in losses
+        if loss.residuals is not None
+    ]
+    return sums, residuals
 
 
 def _shapes(names: tuple[str, ...], tensors: list[Tensor]) -> dict[str, tuple[int, ...]]:

@@ -1,0 +1,68 @@
+"""Which engine runs: as asked, or the compiled one where it can and pays."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from typing import TypeVar
+
+from difffilter.engine.build import compiler
+from difffilter.errors import EngineError, InputError
+from difffilter.log import Rows
+
+__all__ = ["ENGINES", "eager_seconds", "pick", "with_engine"]
+
+ENGINES = ("auto", "torch", "fused")
+#: s of torch's time from which ``auto`` compiles.
+ENOUGH = 1.0
+
+Result = TypeVar("Result")
+_told: set[str] = set()
+
+
+def eager_seconds(log: Rows) -> float:
+    """About what torch takes to run a log, s: a formula, so that the choice is always the same."""
+    return log.steps * (1e-3 + 3e-6 * log.trajectories)
+
+
+def pick(engine: str, seconds: float) -> str:
+    """``torch``, ``fused``, or ``auto`` where the compiled engine is to be tried.
+
+    Args:
+        engine: as asked for; the environment's ``DIFFFILTER_ENGINE`` stands in for ``auto``.
+        seconds: about what torch would take for the job.
+
+    Raises:
+        InputError: an unknown engine.
+    """
+    if engine == "auto":
+        engine = os.environ.get("DIFFFILTER_ENGINE", "auto")
+    if engine not in ENGINES:
+        raise InputError(f"engine: found {engine!r}, expected one of {', '.join(ENGINES)}")
+    if engine == "auto" and (seconds < ENOUGH or compiler() is None):
+        return "torch"
+    return engine
+
+
+def with_engine(
+    engine: str, fused: Callable[[], Result], plain: Callable[[], Result], seconds: float
+) -> Result:
+    """The result of the engine that was picked; ``auto`` falls back to torch and says so once."""
+    chosen = pick(engine, seconds)
+    if chosen == "torch":
+        return plain()
+    try:
+        return fused()
+    except EngineError as error:
+        if chosen == "fused":
+            raise
+        tell(error)
+        return plain()
+
+
+def tell(error: EngineError) -> None:
+    """Warn, once for each reason, that torch runs instead."""
+    if str(error) not in _told:
+        _told.add(str(error))
+        warnings.warn(f"{error}; torch runs instead, slower", stacklevel=3)

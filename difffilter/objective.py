@@ -1,0 +1,200 @@
+"""The loss that tuning minimises, as a function of values: by either engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from difffilter.belief import Belief
+from difffilter.engine.choice import eager_seconds, with_engine
+from difffilter.errors import NonFiniteError
+from difffilter.filter import Filter
+from difffilter.log import Log, Start
+from difffilter.losses import LOSSES, LossContext, check_losses, total_loss, weighted, with_scenes
+from difffilter.parameters import Values
+from difffilter.run import prepared, run
+
+__all__ = ["Sums", "objective", "sum_losses"]
+
+
+class Sums(NamedTuple):
+    """Sums of the losses' rows per trajectory, and derivatives towards tuned values.
+
+    Attributes:
+        values: (B, q), differentiable towards the values that require a gradient.
+        sizes: how many of the q belong to each loss.
+        tangents: (B, p, q), towards every number that requires a gradient, in order.
+        gram: (B, p, p), J^T J of the position residuals; 0 without such a loss.
+    """
+
+    values: Tensor
+    sizes: Mapping[str, int]
+    tangents: Tensor
+    gram: Tensor
+
+    def terms(self) -> dict[str, Tensor]:
+        """Each loss over all trajectories."""
+        total = self.values.sum(0).split(list(self.sizes.values()))
+        return {n: LOSSES[n].value(part) for n, part in zip(self.sizes, total, strict=True)}
+
+
+def sum_losses(
+    filter: Filter,
+    log: Log,
+    values: Values,
+    start: Start | Belief | None,
+    losses: Mapping[str, float],
+    context: LossContext,
+    temperature: float | None = None,
+) -> Sums:
+    """The sums by the fused engine, with forward tangents towards what requires a gradient.
+
+    Memory does not grow with the length of the log: nothing is kept per step.
+
+    Raises:
+        EngineError: the step cannot be compiled; InputError: as for :func:`run` and
+        :func:`total_loss`; NonFiniteError: names trajectory, step and state.
+    """
+    from difffilter.engine.fused import Job, sums
+    from difffilter.engine.trace import Objective
+
+    check_losses(losses, log)
+    rows = with_scenes(log, context)
+    constants, current, intervals = prepared(filter, log, values, start, temperature)
+    job = Job(filter, _detached(constants), rows, _detached_belief(current), intervals)
+    names = tuple(losses)
+    wanted = Objective(names, context, log.truth_states)
+    leaves = [v for v in values.values() if v.requires_grad and torch.is_grad_enabled()]
+    tangents = None
+    if leaves:
+        moved = any(x.requires_grad for x in _tensors(current))
+        tangents = _tangents(filter, log, values, start, temperature, constants, moved)
+    counts, total, dtotal, gram, bad = sums(job, wanted, tangents)
+    if bool((bad >= 0).any()):
+        _locate(job, log, values, start, temperature, bad)
+    sizes = dict(zip(names, counts, strict=True))
+    if leaves:
+        total = _Sums.apply(dtotal, total, *leaves)  # type: ignore[no-untyped-call]
+    return Sums(total, sizes, dtotal, gram)
+
+
+def objective(
+    filter: Filter,
+    log: Log,
+    values: Values,
+    start: Start | Belief | None = None,
+    *,
+    losses: Mapping[str, float],
+    context: LossContext | None = None,
+    temperature: float | None = None,
+    engine: str = "auto",
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Weighted sum of losses of a run, and each term: differentiable towards ``values``.
+
+    Args:
+        filter, log, values, start, temperature: as for :func:`difffilter.run`.
+        losses: weight of each by name; context: what they need.
+        engine: ``torch`` differentiates backwards through the run; ``fused`` carries the
+            tangents beside the state; ``auto`` as for :func:`difffilter.run`.
+
+    Raises:
+        InputError, NonFiniteError: as for :func:`difffilter.run`, and for a loss that is
+            unknown or needs truth.
+    """
+    context = context or LossContext()
+    def fused() -> tuple[Tensor, dict[str, Tensor]]:
+        terms = sum_losses(filter, log, values, start, losses, context, temperature).terms()
+        return weighted(losses, terms), terms
+
+    def plain() -> tuple[Tensor, dict[str, Tensor]]:
+        track = run(filter, log, values, start, temperature=temperature, engine="torch")
+        return total_loss(losses, track, log, context)
+
+    return with_engine(engine, fused, plain, 4.0 * eager_seconds(log))
+
+
+class _Sums(torch.autograd.Function):
+    """Sums whose derivative is known already."""
+
+    @staticmethod
+    def forward(ctx: Any, tangents: Tensor, total: Tensor, *leaves: Tensor) -> Tensor:
+        ctx.save_for_backward(tangents)
+        ctx.shapes = [leaf.shape for leaf in leaves]
+        return total.clone()
+
+    @staticmethod
+    def backward(ctx: Any, bar: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        (tangents,) = ctx.saved_tensors
+        flat = (tangents * bar.unsqueeze(1)).sum((0, 2))
+        parts = flat.split([shape.numel() for shape in ctx.shapes])
+        return None, None, *(p.reshape(s) for p, s in zip(parts, ctx.shapes, strict=True))
+
+
+def _tangents(
+    filter: Filter,
+    log: Log,
+    values: Values,
+    start: Start | Belief | None,
+    temperature: float | None,
+    constants: Values,
+    moved: bool,
+) -> Any:
+    """Derivatives of constants (and of starts, where they ``moved``) towards the values."""
+    from difffilter.engine.fused import Tangents
+
+    leaves = {name: v for name, v in values.items() if v.requires_grad}
+    plain = {name: v.detach() for name, v in values.items()}
+    active = frozenset(name for name, c in constants.items() if c.requires_grad)
+    found, starts = [], []
+    for name, leaf in leaves.items():
+        for unit in torch.eye(leaf.numel(), dtype=leaf.dtype):
+            with forward_ad.dual_level():
+                dual = forward_ad.make_dual(plain[name], unit.reshape(leaf.shape))
+                given = {**plain, name: dual}
+                if moved:
+                    prepare, current, _ = prepared(filter, log, given, start, temperature)
+                    lead = current.mean.shape[:-1]
+                    starts.append(
+                        torch.cat([_tangent(x).reshape(*lead, -1) for x in _tensors(current)], -1)
+                    )
+                else:
+                    prepare = filter.prepare(given, temperature)
+                found.append(torch.cat([_tangent(c).reshape(-1) for c in prepare.values()]))
+    return Tangents(torch.stack(found), active, torch.stack(starts) if moved else None)
+
+
+def _tangent(x: Tensor) -> Tensor:
+    tangent = forward_ad.unpack_dual(x).tangent
+    return torch.zeros_like(x) if tangent is None else tangent
+
+
+def _tensors(belief: Belief) -> list[Tensor]:
+    return [belief.mean, belief.deviations, *belief.memory.values()]
+
+
+def _detached(values: Values) -> dict[str, Tensor]:
+    return {name: value.detach() for name, value in values.items()}
+
+
+def _detached_belief(belief: Belief) -> Belief:
+    return Belief(belief.mean.detach(), belief.deviations.detach(), _detached(belief.memory))
+
+
+def _locate(
+    job: Any,
+    log: Log,
+    values: Values,
+    start: Start | Belief | None,
+    temperature: float | None,
+    bad: Tensor,
+) -> None:
+    """Raise the error that names trajectory, step and state or channel."""
+    with torch.no_grad():
+        run(job.filter, log, _detached(values), start, temperature=temperature, engine="fused")
+    where = int((bad >= 0).nonzero()[0])
+    raise NonFiniteError("mean", where, int(bad[where]), job.filter.states[0])
+
