@@ -109,7 +109,7 @@ class Credibility:
         """Process noise raised where the systems drift off together."""
         if self.ideal:
             level, own = inputs["ideal.process"], constants["motion.factor"][0, 0]
-            factor = torch.where(torch.isnan(level), 1.0, level / own)
+            factor = torch.where(torch.isnan(level), own, level) / own
             return process * factor[..., None, None]
         rate = constants["credibility.drift_rate"]
         drift = memory[DRIFT].square().mean(-1) * (2.0 - rate) / rate

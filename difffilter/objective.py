@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -50,25 +50,47 @@ def sum_losses(
     losses: Mapping[str, float],
     context: LossContext,
     temperature: float | None = None,
+    engine: str = "fused",
 ) -> Sums:
-    """The sums by the fused engine, with forward tangents towards what requires a gradient.
+    """The sums with forward tangents towards what requires a gradient.
 
-    Memory does not grow with the length of the log: nothing is kept per step.
+    With the fused engine memory does not grow with the length of the log: nothing is kept
+    per step. With torch, one run for each tangent.
 
     Raises:
         EngineError: the step cannot be compiled; InputError: as for :func:`run` and
         :func:`total_loss`; NonFiniteError: names trajectory, step and state.
     """
+    check_losses(losses, log)
+    leaves = {n: v for n, v in values.items() if v.requires_grad and torch.is_grad_enabled()}
+    plain = {name: value.detach() for name, value in values.items()}
+    if engine == "torch":
+        found = _torch_sums(filter, log, plain, leaves, start, tuple(losses), context, temperature)
+    else:
+        found = _fused_sums(filter, log, values, leaves, start, tuple(losses), context, temperature)
+    if leaves:
+        total = _Sums.apply(found.tangents, found.values, *leaves.values())  # type: ignore[no-untyped-call]
+        found = found._replace(values=total)
+    return found
+
+
+def _fused_sums(
+    filter: Filter,
+    log: Log,
+    values: Values,
+    leaves: Values,
+    start: Start | Belief | None,
+    names: tuple[str, ...],
+    context: LossContext,
+    temperature: float | None,
+) -> Sums:
     from difffilter.engine.fused import Job, sums
     from difffilter.engine.trace import Objective
 
-    check_losses(losses, log)
     rows = with_scenes(log, context)
     constants, current, intervals = prepared(filter, log, values, start, temperature)
     job = Job(filter, _detached(constants), rows, _detached_belief(current), intervals)
-    names = tuple(losses)
     wanted = Objective(names, context, log.truth_states)
-    leaves = [v for v in values.values() if v.requires_grad and torch.is_grad_enabled()]
     tangents = None
     if leaves:
         moved = any(x.requires_grad for x in _tensors(current))
@@ -76,10 +98,60 @@ def sum_losses(
     counts, total, dtotal, gram, bad = sums(job, wanted, tangents)
     if bool((bad >= 0).any()):
         _locate(job, log, values, start, temperature, bad)
-    sizes = dict(zip(names, counts, strict=True))
-    if leaves:
-        total = _Sums.apply(dtotal, total, *leaves)  # type: ignore[no-untyped-call]
-    return Sums(total, sizes, dtotal, gram)
+    return Sums(total, dict(zip(names, counts, strict=True)), dtotal, gram)
+
+
+def _torch_sums(
+    filter: Filter,
+    log: Log,
+    values: Values,
+    leaves: Values,
+    start: Start | Belief | None,
+    names: tuple[str, ...],
+    context: LossContext,
+    temperature: float | None,
+) -> Sums:
+    """One run for the sums, or one for each tangent, in forward mode."""
+    rows = with_scenes(log, context)
+
+    def once(given: Values) -> tuple[list[Tensor], Tensor]:
+        track = run(filter, log, given, start, temperature=temperature, engine="torch")
+        parts = [LOSSES[name].rows(track, rows, context) for name in names]
+        residuals = [
+            loss.residuals(track, rows, context).flatten(1, -2)
+            for loss in (LOSSES[name] for name in names)
+            if loss.residuals is not None
+        ]
+        empty = log.z.new_zeros(log.steps, log.trajectories, 0)
+        return parts, torch.cat([empty, *residuals], -1)
+
+    def summed(parts: list[Tensor]) -> Tensor:
+        return torch.cat([x.reshape(log.steps, log.trajectories, -1).sum(0) for x in parts], -1)
+
+    with torch.no_grad():
+        parts, _ = once(values)
+        total, sizes = summed(parts), {n: x.shape[-1] for n, x in zip(names, parts, strict=True)}
+        tangents, moved = [], []
+        for given in _duals(values, leaves):
+            parts, residuals = once(given)
+            tangents.append(summed([_tangent(x) for x in parts]))
+            moved.append(_tangent(residuals))
+    p = len(tangents)
+    if not p:
+        size = log.trajectories
+        return Sums(total, sizes, total.new_zeros(size, 0, total.shape[-1]), total.new_zeros(size, 0, 0))
+    jacobian = torch.stack(moved, -1)
+    gram = torch.einsum("tbep,tbeq->bpq", jacobian, jacobian)
+    return Sums(total, sizes, torch.stack(tangents, 1), gram)
+
+
+def _duals(values: Values, leaves: Values) -> Iterator[dict[str, Tensor]]:
+    """The values, each number of the leaves in its turn with a tangent of 1."""
+    for name, leaf in leaves.items():
+        for unit in torch.eye(leaf.numel(), dtype=leaf.dtype):
+            with forward_ad.dual_level():
+                dual = forward_ad.make_dual(values[name].detach(), unit.reshape(leaf.shape))
+                yield {**values, name: dual}
 
 
 def objective(
@@ -147,23 +219,17 @@ def _tangents(
     from difffilter.engine.fused import Tangents
 
     leaves = {name: v for name, v in values.items() if v.requires_grad}
-    plain = {name: v.detach() for name, v in values.items()}
     active = frozenset(name for name, c in constants.items() if c.requires_grad)
     found, starts = [], []
-    for name, leaf in leaves.items():
-        for unit in torch.eye(leaf.numel(), dtype=leaf.dtype):
-            with forward_ad.dual_level():
-                dual = forward_ad.make_dual(plain[name], unit.reshape(leaf.shape))
-                given = {**plain, name: dual}
-                if moved:
-                    prepare, current, _ = prepared(filter, log, given, start, temperature)
-                    lead = current.mean.shape[:-1]
-                    starts.append(
-                        torch.cat([_tangent(x).reshape(*lead, -1) for x in _tensors(current)], -1)
-                    )
-                else:
-                    prepare = filter.prepare(given, temperature)
-                found.append(torch.cat([_tangent(c).reshape(-1) for c in prepare.values()]))
+    for given in _duals(_detached(values), leaves):
+        if moved:
+            prepare, current, _ = prepared(filter, log, given, start, temperature)
+            lead = current.mean.shape[:-1]
+            parts = [_tangent(x).reshape(*lead, -1) for x in _tensors(current)]
+            starts.append(torch.cat(parts, -1))
+        else:
+            prepare = filter.prepare(given, temperature)
+        found.append(torch.cat([_tangent(c).reshape(-1) for c in prepare.values()]))
     return Tangents(torch.stack(found), active, torch.stack(starts) if moved else None)
 
 

@@ -11,7 +11,13 @@ Keep = Callable[[str], str]
 
 
 def tangent(
-    op: str, node: int, args: Sequence[int], value: Write, keep: Keep, moved: dict[int, str]
+    op: str,
+    node: int,
+    args: Sequence[int],
+    value: Write,
+    keep: Keep,
+    moved: dict[int, str],
+    inverse: str | None = None,
 ) -> str:
     """C expression of an operation's tangent.
 
@@ -20,6 +26,7 @@ def tangent(
         value: the text of a node's value in the loop of values.
         keep: asks that loop to keep an expression; returns its name in the loop of tangents.
         moved: the tangents of those arguments that have one.
+        inverse: the value of 1 / result, where it is at hand.
     """
     if op == "select":
         chosen = keep(value(args[0]))
@@ -30,6 +37,8 @@ def tangent(
     for at, argument in enumerate(args):
         if argument in moved:
             factor = _factor(op, at, node, args, value)
+            if op == "sqrt" and inverse:
+                factor = f"0.5 * {inverse}"
             if factor in ("1", "-1"):
                 terms.append(("-" if factor == "-1" else "") + moved[argument])
             else:
@@ -45,8 +54,8 @@ def _factor(op: str, at: int, node: int, args: Sequence[int], value: Write) -> s
         return "-1" if op == "neg" or (op == "sub" and at == 1) else "1"
     if op == "mul":
         return a if at == 1 else b
-    if op == "div":
-        return f"1.0 / {b}" if at == 0 else f"-{value(node)} / {b}"
+    if op == "div":  # 1 / b: the program divides by no other way
+        return f"-{value(node)} * {value(node)}" if at == 1 else f"1.0 / {b}"
     if op == "atan2":
         square = f"({a} * {a} + {b} * {b})"
         return f"{b} / {square}" if at == 0 else f"-{a} / {square}"

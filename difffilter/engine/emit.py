@@ -198,7 +198,11 @@ class Step:
             there = text.endswith("]") and " " not in text and text[0] != "-"
             return text if there or _is_number(text) else keep(text)
 
-        return tangent(op, node, args, value, simple, moved)
+        inverse = self.program.reciprocal(node)
+        beside = inverse is not None and self.plan.home.get(inverse, -3) == segment
+        return tangent(
+            op, node, args, value, simple, moved, value(inverse) if inverse and beside else None
+        )
 
 
 def expression(op: str, args: list[str]) -> str:

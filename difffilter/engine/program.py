@@ -124,7 +124,12 @@ class Program:
         if op == "div":
             if values[1] == 1.0:
                 return args[0]
-            return self.const(0.0) if values[0] == 0.0 else None
+            if values[0] == 0.0:
+                return self.const(0.0)
+            if values[0] == 1.0 or None not in values:
+                return None
+            # One reciprocal serves all divisions by the same number, and their derivatives.
+            return self.make("mul", args[0], self.make("div", self.const(1.0), args[1]))
         if op == "neg" and self.nodes[args[0]][0] == "neg":
             return self._argument(args[0])
         if op == "and":
@@ -148,6 +153,10 @@ class Program:
         argument = self.nodes[node][1]
         assert isinstance(argument, int)
         return argument
+
+    def reciprocal(self, node: int) -> int | None:
+        """The node of 1 / node, if there is one."""
+        return self.known.get(("div", self.const(1.0), node))
 
     def arguments(self, node: int) -> tuple[int, ...]:
         """The nodes that an operation reads; none for a constant or an input."""

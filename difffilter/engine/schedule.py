@@ -41,7 +41,7 @@ def schedule(program: Program, outputs: Sequence[int]) -> Schedule:
     live = [n for n in program.live(outputs) if program.nodes[n][0] not in ("const", "input")]
     varies = _varying(program, live)
     setup = [node for node in live if node not in varies]
-    segments = _segments(program, [node for node in live if node in varies])
+    segments = _segments(program, _ordered(program, [node for node in live if node in varies]))
     home = {node: i for i, segment in enumerate(segments) for node in segment}
     last: dict[int, int] = {}
     kept: dict[int, int] = {}
@@ -92,6 +92,19 @@ def _varying(program: Program, live: Sequence[int]) -> set[int]:
                 varies.add(node)
                 break
     return varies
+
+
+def _ordered(program: Program, live: Sequence[int]) -> list[int]:
+    """Nodes by number, but the reciprocal of a root beside it: its derivative reads that."""
+    wanted, order, done = set(live), list[int](), set[int]()
+    for node in live:
+        if node not in done:
+            order.append(node)
+        inverse = program.reciprocal(node) if program.nodes[node][0] == "sqrt" else None
+        if inverse in wanted:
+            order.append(inverse)
+            done.add(inverse)
+    return order
 
 
 def _segments(program: Program, order: Sequence[int]) -> list[list[int]]:
