@@ -124,7 +124,7 @@ def compare(
     log: Log | None = None,
     systems: tuple[str, ...] = (),
     progress: bool = False,
-    engine: str = "torch",
+    engine: str = "auto",
 ) -> Comparison:
     """Run every system with published values, and every checkpoint's system with its own.
 

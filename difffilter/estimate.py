@@ -63,7 +63,7 @@ def estimate(
     *,
     temperature: float | None = None,
     progress: bool = False,
-    engine: str = "torch",
+    engine: str = "auto",
 ) -> Track:
     """Estimates of a filter or a baseline over a log (see :func:`difffilter.run`)."""
     log = log.only(system.channels)

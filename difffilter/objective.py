@@ -38,7 +38,7 @@ class Sums(NamedTuple):
 
     def terms(self) -> dict[str, Tensor]:
         """Each loss over all trajectories."""
-        total = self.values.sum(0).split(list(self.sizes.values()))
+        total = torch.split(self.values.sum(0), list(self.sizes.values()))
         return {n: LOSSES[n].value(part) for n, part in zip(self.sizes, total, strict=True)}
 
 
@@ -139,7 +139,9 @@ def _torch_sums(
     p = len(tangents)
     if not p:
         size = log.trajectories
-        return Sums(total, sizes, total.new_zeros(size, 0, total.shape[-1]), total.new_zeros(size, 0, 0))
+        return Sums(
+            total, sizes, total.new_zeros(size, 0, total.shape[-1]), total.new_zeros(size, 0, 0)
+        )
     jacobian = torch.stack(moved, -1)
     gram = torch.einsum("tbep,tbeq->bpq", jacobian, jacobian)
     return Sums(total, sizes, torch.stack(tangents, 1), gram)
@@ -150,7 +152,7 @@ def _duals(values: Values, leaves: Values) -> Iterator[dict[str, Tensor]]:
     for name, leaf in leaves.items():
         for unit in torch.eye(leaf.numel(), dtype=leaf.dtype):
             with forward_ad.dual_level():
-                dual = forward_ad.make_dual(values[name].detach(), unit.reshape(leaf.shape))
+                dual = forward_ad.make_dual(values[name].detach(), unit.reshape(leaf.shape))  # type: ignore[no-untyped-call]
                 yield {**values, name: dual}
 
 
@@ -178,6 +180,7 @@ def objective(
             unknown or needs truth.
     """
     context = context or LossContext()
+
     def fused() -> tuple[Tensor, dict[str, Tensor]]:
         terms = sum_losses(filter, log, values, start, losses, context, temperature).terms()
         return weighted(losses, terms), terms
@@ -199,7 +202,7 @@ class _Sums(torch.autograd.Function):
         return total.clone()
 
     @staticmethod
-    def backward(ctx: Any, bar: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, bar: Tensor) -> tuple[Tensor | None, ...]:
         (tangents,) = ctx.saved_tensors
         flat = (tangents * bar.unsqueeze(1)).sum((0, 2))
         parts = flat.split([shape.numel() for shape in ctx.shapes])
@@ -234,7 +237,7 @@ def _tangents(
 
 
 def _tangent(x: Tensor) -> Tensor:
-    tangent = forward_ad.unpack_dual(x).tangent
+    tangent: Tensor | None = forward_ad.unpack_dual(x).tangent  # type: ignore[no-untyped-call]
     return torch.zeros_like(x) if tangent is None else tangent
 
 
@@ -263,4 +266,3 @@ def _locate(
         run(job.filter, log, _detached(values), start, temperature=temperature, engine="fused")
     where = int((bad >= 0).nonzero()[0])
     raise NonFiniteError("mean", where, int(bad[where]), job.filter.states[0])
-

@@ -76,9 +76,9 @@ class Parser(ArgumentParser):
         """--engine."""
         self.add_argument(
             "--engine",
-            choices=("torch", "fused"),
-            default="torch",
-            help="fused: the filters compiled to C, for many trajectories (torch)",
+            choices=("auto", "torch", "fused"),
+            default="auto",
+            help="fused: filters compiled to C; auto: those where it can and pays (auto)",
         )
 
     def add_seed(self, default: int, what: str) -> None:

@@ -66,6 +66,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", metavar="FILE", help="checkpoint (runs/SCENARIO.json)")
     parser.add_argument("--tensorboard", metavar="DIR", help="folder for TensorBoard")
     parser.add_argument("--resume", action="store_true", help="go on where a run was interrupted")
+    parser.add_engine()
     parser.add_json()
     parser.add_quiet()
     parser.set_defaults(command=command)
@@ -97,6 +98,7 @@ def command(args: Namespace) -> int:
             tensorboard=args.tensorboard,
             resume=args.resume,
             progress=shows_progress(args),
+            engine=args.engine,
         )
     except KeyboardInterrupt:
         print(f"difffilter: interrupted; {_how_to_resume(state_path(out))}", file=sys.stderr)

@@ -17,7 +17,7 @@ from difffilter.errors import EngineError
 __all__ = ["build", "cache_folder", "compiler"]
 
 #: Fast arithmetic that keeps NaN and infinity visible and the order of sums.
-FLAGS = (
+FLAGS: tuple[str, ...] = (
     "-std=gnu11", "-O2", "-march=native", "-fopenmp", "-fno-math-errno", "-fno-trapping-math",
     "-ffp-contract=fast", "-fPIC", "-shared", "-w",
 )  # fmt: skip

@@ -72,9 +72,7 @@ def _factor(op: str, at: int, node: int, args: Sequence[int], value: Write) -> s
     return factors[op]
 
 
-def _extreme(
-    op: str, args: Sequence[int], value: Write, keep: Keep, moved: dict[int, str]
-) -> str:
+def _extreme(op: str, args: Sequence[int], value: Write, keep: Keep, moved: dict[int, str]) -> str:
     """That of the chosen argument; where both are equal the mean, or that of the active one."""
     a, b = args
     u, v = value(a), value(b)

@@ -90,8 +90,9 @@ def sums(
     """What the rows of each trajectory add to the losses' sums, with derivatives.
 
     Returns:
-        how many sums each loss has, the sums (B, q), their tangents (B, p, q), J^T J of the residuals (B, p, p), and the first
-        step with a belief that is not finite (B,), -1 for none. p = 0 without tangents.
+        how many sums each loss has, the sums (B, q), their tangents (B, p, q), J^T J of the
+        residuals (B, p, p), and the first step with a belief that is not finite (B,), -1 for
+        none. p = 0 without tangents.
 
     Raises:
         EngineError: as for :func:`forward`.
@@ -165,7 +166,9 @@ def _source(traced: Traced, kind: object, write: Callable[[Traced], str]) -> str
     return _SOURCES[key][1]
 
 
-def _rows(job: Job, objective: Objective | None = None) -> tuple[tuple[int, ...], dict[str, Tensor]]:
+def _rows(
+    job: Job, objective: Objective | None = None
+) -> tuple[tuple[int, ...], dict[str, Tensor]]:
     """Leading dimensions, and what a row holds: (T, *lead, ...) by name, broadcast."""
     log = job.log
     if log.z.dtype != torch.float64:

@@ -204,7 +204,9 @@ def sums_source(traced: Traced, active: set[int] | None, states: set[int]) -> st
     step = Step(traced.program, outputs, active, states, traced.state.size)
     count = traced.state.size
     moving = [i for i in step.moving if i < count]
-    advance = "\n".join(f"                    memcpy(ds[d][{i}], dx[d][{i}], sizeof s[0]);" for i in moving)
+    advance = "\n".join(
+        f"                    memcpy(ds[d][{i}], dx[d][{i}], sizeof s[0]);" for i in moving
+    )
     still = [i for i in sorted(states) if i not in moving]
     advance += "".join(f"\n                    memset(ds[d][{i}], 0, sizeof s[0]);" for i in still)
     return _head(traced, step, WIDTH) + _SUMS.format(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from difffilter.losses import LOSSES
 from difffilter.scenario.table import Table
-from difffilter.tune.settings import TuneSettings
+from difffilter.tune.settings import OPTIMISERS, TuneSettings
 
 __all__ = ["read_tuning"]
 
@@ -28,6 +28,7 @@ def read_tuning(table: Table, systems: Sequence[str]) -> TuneSettings:
     settings = TuneSettings(
         system=table.text("system", systems[0], choices=tuple(systems)),
         loss=loss or base.loss,
+        optimiser=table.text("optimiser", base.optimiser, choices=OPTIMISERS),
         trajectories=table.integer("trajectories", base.trajectories, low=1),
         validation=table.integer("validation", base.validation, low=1),
         test=table.integer("test", base.test, low=2),

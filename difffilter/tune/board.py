@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,20 +46,21 @@ class Board:
         loss: float,
         values: Values,
         declarations: Mapping[str, Parameter],
-        track: Track,
+        track: Callable[[], Track],
         log: Log,
     ) -> None:
-        """After a validation of the frozen form."""
+        """After a validation of the frozen form; ``track`` runs it where it is shown."""
         if self._writer is None:
             return
         self._writer.add_scalar("loss/validation", loss, step)
         for name, parameter in declarations.items():
             if parameter.tuned:
                 self._values(step, parameter, values[name])
-        if track.record is not None:
-            weights = track.record.weight[track.record.present]
+        shown = track()
+        if shown.record is not None:
+            weights = shown.record.weight[shown.record.present]
             self._writer.add_histogram("weights", weights.to(torch.float32), step)
-        self._writer.add_figure("track", track_figure(log, track, 0), step)
+        self._writer.add_figure("track", track_figure(log, shown, 0), step)
 
     def _values(self, step: int, parameter: Parameter, value: Tensor) -> None:
         flat = value.detach().reshape(-1).tolist()

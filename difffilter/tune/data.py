@@ -44,8 +44,9 @@ class Trajectories:
         assert chosen.start is not None
         return Batch(replace(chosen, start=None), chosen.start)
 
-    def refresh(self, filter: Filter, values: Values, step: int) -> None:
+    def refresh(self, filter: Filter, values: Values, step: int) -> bool:
         """Nothing to do: trajectories start where they start."""
+        return False
 
     def keep(self) -> dict[str, Tensor]:
         """Nothing to keep."""
@@ -68,6 +69,7 @@ class Windows:
     start: Start
     rows: int
     every: int
+    engine: str = "torch"
     cut: Log | None = None
     beliefs: Belief | None = None
 
@@ -106,10 +108,10 @@ class Windows:
         """Number of windows that hold something to learn from."""
         return len(self.useful)
 
-    def refresh(self, filter: Filter, values: Values, step: int) -> None:
+    def refresh(self, filter: Filter, values: Values, step: int) -> bool:
         """Renew the windows' warm starts with the current values, if it is time to."""
         if self.beliefs is not None and step % self.every:
-            return
+            return False
         beliefs: list[Belief] = []
         with torch.no_grad():
             frozen = {name: value.detach() for name, value in values.items()}
@@ -118,7 +120,7 @@ class Windows:
                 beliefs.append(current)
                 part = self.padded.rows(at, at + self.rows + 1)
                 part = _concatenate([_blank(part.rows(0, 1)), part.rows(1, part.steps)])
-                final = run(filter, part, frozen, current).final
+                final = run(filter, part, frozen, current, engine=self.engine).final
                 assert final is not None
                 current = final
         self.beliefs = Belief(
@@ -126,6 +128,7 @@ class Windows:
             torch.cat([b.deviations for b in beliefs]),
             {k: torch.cat([b.memory[k] for b in beliefs]) for k in beliefs[0].memory},
         )
+        return True
 
     def keep(self) -> dict[str, Tensor]:
         """The warm starts, for a resumable state: resuming must not renew them early."""

@@ -1,31 +1,39 @@
-"""Gradient descent on unconstrained parameters, judged on the frozen form."""
+"""Descent on unconstrained parameters, judged on the frozen form."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 from tqdm import tqdm
 
-from difffilter.errors import InputError
+from difffilter.engine.choice import eager_seconds, pick, tell
+from difffilter.errors import EngineError, InputError
 from difffilter.estimate import lean, started
 from difffilter.filter import Filter
 from difffilter.log import Log
-from difffilter.losses import LossContext, total_loss
+from difffilter.losses import LossContext
 from difffilter.metrics import position_error
+from difffilter.objective import objective, sum_losses
 from difffilter.parameters import ParameterSet, Values
-from difffilter.run import Track, run
+from difffilter.run import run
 from difffilter.scenario.scenario import Scenario
 from difffilter.seeds import stream
 from difffilter.simulate import simulate
 from difffilter.tune.board import Board
-from difffilter.tune.data import Trajectories, Windows, shuffled
+from difffilter.tune.certainty import Certainty, certainty
+from difffilter.tune.curvature import Expansion, expand
+from difffilter.tune.data import Batch, Trajectories, Windows, shuffled
 from difffilter.tune.diagnose import gradient_error
+from difffilter.tune.optimisers import Optimiser, optimiser_for
 from difffilter.tune.settings import TuneSettings
 from difffilter.tune.state import load_state, save_state
 
@@ -42,6 +50,7 @@ class Descent:
         settings: TuneSettings,
         seed: int,
         log: Log | None,
+        engine: str = "auto",
     ) -> None:
         # Nothing is isolated in simulated trajectories of built-in sensors.
         filter = filter.centralised if log is None else lean(filter, log.only(filter.channels))
@@ -64,13 +73,16 @@ class Descent:
             assert self.check.start is not None
             rows = min(settings.window, log.steps)
             self.data = Windows(self.check, self.check.start, rows, settings.refresh)
+        self.engine = self._pick(engine)
+        if isinstance(self.data, Windows):
+            self.data.engine = self.engine
 
     def _referred(self, log: Log) -> Log:
         """The log with the published filter's squared errors, where the loss compares."""
         if "scenes" not in self.settings.loss:
             return log
         with torch.no_grad():
-            squared = position_error(log, run(self.filter, log))
+            squared = position_error(log, run(self.filter, log, engine="torch"))
         return replace(log, inputs={**log.inputs, "reference.squared": squared})
 
     def fingerprint(self) -> str:
@@ -115,32 +127,36 @@ class Descent:
         board: Board,
         bar: Any,
     ) -> dict[str, Any]:
-        """One start of Adam, with early stopping."""
+        """One start of the optimiser, with early stopping."""
         settings = self.settings
         parameters = self._initial(start)
         free = list(parameters.free().values())
-        optimiser = torch.optim.Adam(free, lr=settings.learning_rate, betas=(0.9, 0.98))
+        optimiser = optimiser_for(settings, parameters)
         own_best, stale, loss, at = math.inf, 0, math.nan, 0
         if resumed is not None:
             with torch.no_grad():
                 for tensor, saved in zip(free, resumed["raw"], strict=True):
                     tensor.copy_(saved)
-            optimiser.load_state_dict(resumed["optimiser"])
+            optimiser.restore(resumed["optimiser"])
             own_best, stale, at = resumed["own_best"], resumed["stale"], resumed["step"]
             self.data.restore(resumed["beliefs"])
         for step in range(at, settings.steps + 1):
-            last = step == settings.steps
-            if (step % settings.evaluate_every == 0 or last) and not (resumed and step == at):
+            last = step == settings.steps or optimiser.converged
+            if (step % optimiser.every == 0 or last) and not (resumed and step == at):
                 # To the digit as published where nothing has moved yet.
                 untouched = start == 0 and step == 0
                 values = self.filter.published() if untouched else parameters.frozen_values()
-                score, track = self._validate(values)
+                score = self._validate(values)
                 entry = {"start": start, "step": step, "training": loss, "validation": score}
                 plain = {name: value.tolist() for name, value in values.items()}
                 history.append(entry | {"values": plain})
-                at_board = start * settings.steps + step
                 board.validation(
-                    at_board, score, values, self.filter.declarations, track, self.check
+                    start * settings.steps + step,
+                    score,
+                    values,
+                    self.filter.declarations,
+                    partial(run, self.filter, self.check, values, engine=self.engine),
+                    self.check,
                 )
                 stale = 0 if score < own_best else stale + 1
                 own_best = min(own_best, score)
@@ -154,7 +170,7 @@ class Descent:
                             "start": start,
                             "step": step,
                             "raw": [tensor.detach().clone() for tensor in free],
-                            "optimiser": optimiser.state_dict(),
+                            "optimiser": optimiser.state(),
                             "best": best,
                             "own_best": own_best,
                             "stale": stale,
@@ -165,53 +181,104 @@ class Descent:
             if last or stale >= settings.patience:
                 bar.update(settings.steps - step)
                 break
-            loss = self._gradient_step(parameters, optimiser, start, step, board)
+            loss = self._step(parameters, optimiser, start, step, board)
             bar.update()
             bar.set_postfix_str(f"loss {loss:.4f}, best {best['loss']:.4f}", refresh=False)
         return best
 
-    def _gradient_step(
+    def _step(
         self,
         parameters: ParameterSet,
-        optimiser: torch.optim.Optimizer,
+        optimiser: Optimiser,
         start: int,
         step: int,
         board: Board,
     ) -> float:
+        """One step of the optimiser; the loss before it."""
         settings = self.settings
-        progress = step / max(settings.steps - 1, 1)
-        hot, cold = settings.temperature
-        temperature = hot * (cold / hot) ** progress
-        for group in optimiser.param_groups:
-            fall = 0.05 + 0.95 * 0.5 * (1.0 + math.cos(math.pi * progress))
-            group["lr"] = settings.learning_rate * fall
-        values = parameters.values()
-        self.data.refresh(self.filter, values, step)
-        index = shuffled(self.data.count, settings.batch, self.seed + start, step)
-        batch = self.data.batch(index)
-        optimiser.zero_grad()
-        track = run(self.filter, batch.log, values, batch.start, temperature=temperature)
-        loss, terms = total_loss(settings.loss, track, batch.log, self.context)
-        loss = loss + parameters.negative_log_prior() / self.data.count
-        loss.backward()  # type: ignore[no-untyped-call]
-        free = list(parameters.free().values())
-        norm = torch.nn.utils.clip_grad_norm_(free, settings.clip)
-        if not bool(torch.isfinite(norm)):
-            raise gradient_error(
-                self.filter, values, batch, settings.loss, self.context, temperature
-            )
-        optimiser.step()
-        board.gradient(start * settings.steps + step, float(loss.detach()), terms, float(norm))
-        return float(loss.detach())
+        changed = self.data.refresh(self.filter, parameters.frozen_values(), step)
+        if optimiser.full:
+            batch = self.data.batch(torch.arange(self.data.count))
+        else:
+            index = shuffled(self.data.count, settings.batch, self.seed + start, step)
+            batch = self.data.batch(index)
+        temperatures: list[float] = []
 
-    def _validate(self, values: Values) -> tuple[float, Track]:
+        def evaluate(temperature: float) -> tuple[Tensor, Mapping[str, Tensor]]:
+            temperatures.append(temperature)
+            loss, terms = self.loss(parameters.values(), batch, temperature)
+            return loss + parameters.negative_log_prior() / self.data.count, terms
+
+        def expanded(temperature: float) -> Expansion:
+            temperatures.append(temperature)
+            return self.expand(parameters, batch, temperature)
+
+        moved = optimiser.step(step, evaluate, expanded, changed)
+        if not math.isfinite(moved.norm):
+            raise gradient_error(
+                self.filter, parameters.values(), batch, settings.loss, self.context,
+                temperatures[-1],
+            )  # fmt: skip
+        board.gradient(start * settings.steps + step, moved.loss, moved.terms, moved.norm)
+        return moved.loss
+
+    def loss(
+        self, values: Values, batch: Batch, temperature: float | None
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Loss and terms of a batch, differentiable."""
+        return objective(
+            self.filter, batch.log, values, batch.start, losses=self.settings.loss,
+            context=self.context, temperature=temperature, engine=self.engine,
+        )  # fmt: skip
+
+    def expand(
+        self, parameters: ParameterSet, batch: Batch, temperature: float | None
+    ) -> Expansion:
+        """Loss of a batch to second order."""
+        loss = self.settings.loss
+        sums = sum_losses(
+            self.filter, batch.log, parameters.values(), batch.start, loss, self.context,
+            temperature, self.engine,
+        )  # fmt: skip
+        return expand(loss, sums, parameters, 1.0 / self.data.count)
+
+    def certainty(self, values: Values) -> Certainty | None:
+        """How well the training data determine the values; None with torch: too slow there."""
+        if self.engine == "torch":
+            return None
+        parameters = ParameterSet(self.filter.declarations, values)
+        self.data.refresh(self.filter, values, 0)
+        batch = self.data.batch(torch.arange(self.data.count))
+        cold = self.settings.temperature[1]
+        return certainty(parameters, partial(self.expand, parameters, batch, cold))
+
+    def _pick(self, engine: str) -> str:
+        """The engine for all of this run: ``auto`` tries the compiled one on one trajectory."""
+        settings = self.settings
+        seconds = 5.0 * settings.starts * settings.steps * eager_seconds(self.check)
+        chosen = pick(engine, seconds)
+        if chosen != "auto":
+            return chosen
+        try:
+            one = replace(self.check, inputs=self.check.inputs).select([0])
+            values = ParameterSet(self.filter.declarations).values()
+            sum_losses(
+                self.filter, one, values, None, self.settings.loss, self.context,
+                settings.temperature[0],
+            )  # fmt: skip
+        except EngineError as error:
+            tell(error)
+            return "torch"
+        return "fused"
+
+    def _validate(self, values: Values) -> float:
         """Loss of the frozen, hard form on the validation data."""
+        assert self.check.start is not None
         with torch.no_grad():
-            track = run(self.filter, self.check, values)
-            loss, _ = total_loss(self.settings.loss, track, self.check, self.context)
+            loss, _ = self.loss(values, Batch(self.check, self.check.start), None)
         if not bool(torch.isfinite(loss)):
             raise InputError("validation: the loss is not finite; has the data any row to score?")
-        return float(loss), track
+        return float(loss)
 
     def _initial(self, start: int) -> ParameterSet:
         """Published values, or for later starts values scattered around them."""

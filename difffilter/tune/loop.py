@@ -49,6 +49,7 @@ def tune(
     tensorboard: str | Path | None = None,
     resume: bool = False,
     progress: bool = False,
+    engine: str = "auto",
 ) -> TuneResult:
     """Tune a system's parameters by gradient, freeze them and compare on held-out data.
 
@@ -66,6 +67,7 @@ def tune(
         out: where to write the checkpoint; its resumable state stands beside it.
         tensorboard: folder for TensorBoard's files.
         resume: go on from the state beside ``out``; the result is as if uninterrupted.
+        engine: ``torch``, ``fused`` or ``auto``, as for :func:`difffilter.run`.
 
     Raises:
         InputError: nothing to tune, a loss that needs truth without truth, resume without
@@ -79,7 +81,7 @@ def tune(
         raise InputError(f"tune: system {chosen.system} is a baseline, expected a filter")
     if not any(p.tuned for p in system.declarations.values()):
         raise InputError(f"tune: no parameter of {chosen.system} has tuned = true")
-    job = Descent(scenario, system, chosen, seed, log)
+    job = Descent(scenario, system, chosen, seed, log, engine)
     board = Board(tensorboard)
     try:
         best, history = job.search(
@@ -97,10 +99,15 @@ def tune(
         "step": best["step"],
         "start": best["start"],
     }
+    known = job.certainty(best["values"])
+    if known is not None:
+        training["standard_errors"] = known.errors
+        training["relative_errors"] = known.relative
+        training["undetermined"] = list(known.free)
     checkpoint = Checkpoint(scenario, chosen.system, best["values"], None, training)
     if out is not None:  # before the comparison: what was tuned is not lost if that fails
         save(checkpoint, out)
-    held_out = _held_out(checkpoint, chosen, seed, test, progress)
+    held_out = _held_out(checkpoint, chosen, seed, test, progress, engine)
     if held_out is not None:
         checkpoint = replace(checkpoint, result=held_out.as_dict())
     if out is not None:
@@ -120,7 +127,12 @@ def _with_settings(
 
 
 def _held_out(
-    checkpoint: Checkpoint, settings: TuneSettings, seed: int, test: Log | None, progress: bool
+    checkpoint: Checkpoint,
+    settings: TuneSettings,
+    seed: int,
+    test: Log | None,
+    progress: bool,
+    engine: str,
 ) -> Comparison | None:
     scenario = checkpoint.scenario
     told = [name for name, spec in scenario.systems.items() if spec.clairvoyant and test is None]
@@ -137,4 +149,5 @@ def _held_out(
         log=test,
         systems=systems,
         progress=progress,
+        engine=engine,
     )

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["TuneSettings"]
+__all__ = ["OPTIMISERS", "TuneSettings"]
+
+OPTIMISERS = ("auto", "gauss-newton", "adam", "lbfgs")
 
 
 @dataclass(frozen=True)
@@ -16,16 +18,21 @@ class TuneSettings:
         system: which system is tuned.
         loss: weight of each loss by name (see :mod:`difffilter.losses`); their sum is
             minimised.
+        optimiser: ``gauss-newton`` (all trajectories in every step, tens of steps), ``adam``
+            (batches, hundreds), ``lbfgs``; ``auto``: Gauss-Newton where ``position`` is among
+            the losses and all others are consistencies, else Adam.
         trajectories: simulated training trajectories.
         validation: simulated validation trajectories, for early stopping.
         test: simulated held-out trajectories, for the result that is frozen with the values.
-        batch: trajectories (or windows of recorded logs) per gradient.
-        steps: gradient steps at most, per start.
+        batch: trajectories (or windows of recorded logs) per gradient of Adam.
+        steps: steps at most, per start.
         learning_rate: of Adam, on unconstrained numbers (0.05 is about 5 % of a scale);
             falls along a cosine to a twentieth of it.
-        clip: largest gradient norm.
-        temperature: first and last temperature of the soft weights, geometric between.
-        evaluate_every: gradient steps between validations of the frozen form.
+        clip: largest gradient norm of Adam.
+        temperature: first and last temperature of the soft weights, geometric between: over
+            all steps of Adam, over the first eight of the others.
+        evaluate_every: steps of Adam between validations of the frozen form; the others,
+            whose steps do more, validate five times as often.
         patience: validations without improvement before stopping.
         starts: how many starts; the first is the published values, others are scattered
             around them.
@@ -37,6 +44,7 @@ class TuneSettings:
 
     system: str = ""
     loss: Mapping[str, float] = field(default_factory=lambda: {"position": 1.0})
+    optimiser: str = "auto"
     trajectories: int = 256
     validation: int = 128
     test: int = 200

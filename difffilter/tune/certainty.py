@@ -1,0 +1,121 @@
+"""How well data determine tuned values: standard errors, and directions that stay free."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from difffilter.constraints import Above, Positive
+from difffilter.parameters import ParameterSet
+from difffilter.tune.curvature import Expansion, chain_rule
+
+__all__ = ["Certainty", "certainty"]
+
+#: Half of the interval over which gradients are compared, in unconstrained numbers.
+REACH = 1e-2
+#: A direction is free where one standard error is a whole unit: a factor e of a scale.
+FREE = 1.0
+#: Share of a unit direction from which a parameter is named with it.
+NAMED = 0.25
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """Sampling errors of tuned values.
+
+    Attributes:
+        errors: standard error of each tuned number by entry name, in its unit; None where
+            the data do not determine it.
+        relative: the same in unconstrained numbers (of a scale: relative).
+        free: one line for each direction that the data do not determine.
+    """
+
+    errors: dict[str, float | None]
+    relative: dict[str, float | None]
+    free: tuple[str, ...]
+
+
+def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Certainty:
+    """Sandwich estimate H^-1 (sum of s_b s_b^T) H^-1 at the current values.
+
+    H is the Hessian of the loss, by central differences of its gradient; s_b is what
+    trajectory b adds to that gradient, so that errors hold for dependent rows too
+    [P. J. Huber, 1967].
+
+    Args:
+        expand: the loss to second order at the parameters' current values.
+    """
+    free = list(parameters.free().values())
+    p = sum(x.numel() for x in free)
+    now = expand()
+    scores = now.scores
+    middle = scores - scores.mean(0)
+    hessian = torch.stack([_slope(free, i, expand) for i in range(p)])
+    values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
+    spread = (middle @ vectors).square().sum(0).sqrt()  # of the gradient, along each direction
+    # Where Newton's step is a whole unit a value is on its way to a bound, not at a minimum.
+    ahead = (now.gradient @ vectors).abs()
+    determined = (values > 0.0) & (spread < FREE * values) & (ahead < FREE * values)
+    loose = vectors[:, ~determined]
+    kept = vectors[:, determined] / values[determined]
+    root = (middle @ kept) @ vectors[:, determined].mT  # (B, p), covariance = root^T root
+    relative = root.square().sum(0).sqrt()
+    chain = chain_rule(parameters)
+    errors = (root @ chain.mT).square().sum(0).sqrt()
+    # The share of each physical number's moves that lies in free directions.
+    physical = chain.square() @ loose.square().sum(1) / chain.square().sum(1).clamp_min(1e-300)
+    names = _names(parameters)
+    known = (physical < 0.5).tolist()
+    scaled = relative.tolist() if len(relative) == len(names) else [None] * len(names)
+    return Certainty(
+        {n: e if k else None for n, e, k in zip(names, errors.tolist(), known, strict=True)},
+        {n: e if k else None for n, e, k in zip(names, scaled, known, strict=True)},
+        tuple(_told(parameters, direction) for direction in loose.mT),
+    )
+
+
+def _slope(free: list[torch.nn.Parameter], at: int, expand: Callable[[], Expansion]) -> Tensor:
+    """Row of the Hessian: how the gradient changes with one number."""
+    for x in free:
+        if at < x.numel():
+            break
+        at -= x.numel()
+    found = []
+    flat = x.data.view(-1)
+    centre = float(flat[at])
+    for side in (1.0, -1.0):
+        flat[at] = centre + side * REACH
+        found.append(expand().gradient)
+    flat[at] = centre
+    return (found[0] - found[1]) / (2.0 * REACH)
+
+
+def _names(parameters: ParameterSet) -> list[str]:
+    declarations = parameters.declarations
+    return [entry for name in parameters.free() for entry in declarations[name].entries()]
+
+
+def _told(parameters: ParameterSet, direction: Tensor) -> str:
+    """A free direction in words."""
+    named: list[tuple[str, float, bool]] = []
+    at = 0
+    for name, raw in parameters.free().items():
+        parameter = parameters.declarations[name]
+        entries = parameter.entries()
+        own = entries if len(entries) == raw.numel() else [name] * raw.numel()
+        scale = isinstance(parameter.constraint, (Positive, Above))
+        for entry, part in zip(own, direction[at : at + raw.numel()].tolist(), strict=True):
+            if abs(part) > NAMED:
+                named.append((entry, part, scale))
+        at += raw.numel()
+    names = list(dict.fromkeys(entry for entry, _, _ in named))
+    if len(names) == 1:
+        return f"{names[0]}: the data do not determine it"
+    together = " and ".join([", ".join(names[:-1]), names[-1]])
+    if len(named) == 2 and all(scale for _, _, scale in named):
+        kind = "ratio" if named[0][1] * named[1][1] > 0.0 else "product"
+        return f"{together}: the data determine them only as a {kind}"
+    return f"{together}: the data do not determine them all, only in combination"
