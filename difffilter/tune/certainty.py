@@ -18,6 +18,9 @@ __all__ = ["Certainty", "certainty"]
 REACH = 1e-2
 #: A direction is free where one standard error is a whole unit: a factor e of a scale.
 FREE = 1.0
+#: Newton's step from which a direction leads to a bound, not to a minimum: a scale whose
+#: square the loss pays for falls to zero with steps of one half.
+AHEAD = 0.4
 #: Share of a unit direction from which a parameter is named with it.
 NAMED = 0.25
 
@@ -56,9 +59,8 @@ def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Cert
     hessian = torch.stack([_slope(free, i, expand) for i in range(p)])
     values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
     spread = (middle @ vectors).square().sum(0).sqrt()  # of the gradient, along each direction
-    # Where Newton's step is a whole unit a value is on its way to a bound, not at a minimum.
     ahead = (now.gradient @ vectors).abs()
-    determined = (values > 0.0) & (spread < FREE * values) & (ahead < FREE * values)
+    determined = (values > 0.0) & (spread < FREE * values) & (ahead < AHEAD * values)
     loose = vectors[:, ~determined]
     kept = vectors[:, determined] / values[determined]
     root = (middle @ kept) @ vectors[:, determined].mT  # (B, p), covariance = root^T root
