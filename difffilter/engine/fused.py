@@ -19,7 +19,7 @@ from difffilter.filter import Filter
 from difffilter.log import Rows
 from difffilter.parameters import Values
 
-__all__ = ["Job", "Tangents", "forward", "sums", "traced_step"]
+__all__ = ["Job", "Tangents", "forward", "rows_of", "sums", "traced_step"]
 
 Results = tuple[Tensor, Tensor, Record, Belief]
 #: The last traced steps, by filter and shapes; the filter is kept so that its id stays its own.
@@ -66,7 +66,7 @@ def forward(job: Job) -> Results:
         EngineError: not float64; an operation without a rule, named with its line; no
             compiler.
     """
-    lead, rows = _rows(job)
+    lead, rows = rows_of(job)
     traced = traced_step(job, rows, len(lead))
     library = build(_source(traced, "run", run_source))
     steps, size = job.log.steps, max(job.log.z[0, ..., 0].numel(), 1)
@@ -97,7 +97,7 @@ def sums(
     Raises:
         EngineError: as for :func:`forward`.
     """
-    lead, rows = _rows(job, objective)
+    lead, rows = rows_of(job, objective)
     traced = traced_step(job, rows, len(lead), objective)
     moving = tangents.active if tangents else frozenset()
     active = _places(traced.constants, moving)
@@ -166,7 +166,7 @@ def _source(traced: Traced, kind: object, write: Callable[[Traced], str]) -> str
     return _SOURCES[key][1]
 
 
-def _rows(
+def rows_of(
     job: Job, objective: Objective | None = None
 ) -> tuple[tuple[int, ...], dict[str, Tensor]]:
     """Leading dimensions, and what a row holds: (T, *lead, ...) by name, broadcast."""

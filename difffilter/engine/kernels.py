@@ -71,6 +71,32 @@ void run(long steps, long trajectories, const double *c, const double *start,
 }}
 """
 
+_ONE = """
+void constants(const double *c, double *h)
+{{
+    setup(c, h);
+}}
+
+/* One step of one belief: 0, or 1 + the place of the first number that is not finite (the
+   belief stays as it was then). The record's last two fields are truth values. */
+long one(const double *c, const double *h, double *state, const double *const *in,
+         double *output, unsigned char *flags)
+{{
+    double (*s)[W] = (double (*)[W])state, r[R][W], t[T][W], o[O][W];
+    const long l = 0;
+{one}
+    step(c, h, s, r, t, o);
+    memcpy(output, o + {states}, {numbers} * sizeof *output);
+    for (long i = {numbers}; i < {results}; i++)
+        flags[i - {numbers}] = o[{states} + i][0] != 0.0;
+    for (long i = 0; i < {states}; i++)
+        if (!isfinite(o[i][0]))
+            return i + 1;
+    memcpy(state, o, {states} * sizeof *state);
+    return 0;
+}}
+"""
+
 _SUMS = """
 #define Q {q}
 #define E {e}
@@ -184,13 +210,17 @@ int sums(long steps, long trajectories, const double *c, const double *start,
 def run_source(traced: Traced, width: int = WIDTH) -> str:
     """C source of ``run``: states and records of every step."""
     step = Step(traced.program, [*traced.next_state, *traced.results])
-    return _head(traced, step, width) + _RUN.format(
-        setup=step.setup(),
-        step=step.step(),
-        load=_load(traced.row, step.read),
-        states=traced.state.size,
-        results=traced.output.size,
-    )
+    parts = {
+        "setup": step.setup(),
+        "step": step.step(),
+        "load": _load(traced.row, step.read),
+        "one": _load(traced.row, step.read, "x{a} = in[{a}]"),
+        "states": traced.state.size,
+        "results": traced.output.size,
+        "numbers": traced.output.size - 2 * traced.row.count(traced.row.shapes["z"]),
+    }
+    text = _head(traced, step, width) + _RUN.format(**parts)
+    return text + _ONE.format(**parts) if width == 1 else text
 
 
 def sums_source(traced: Traced, active: set[int] | None, states: set[int]) -> str:
@@ -229,14 +259,16 @@ def _head(traced: Traced, step: Step, width: int) -> str:
     return _HEAD.format(width=width, **sizes, **step.counts) + FUNCTIONS
 
 
-def _load(row: Layout, read: list[int]) -> str:
+def _load(
+    row: Layout, read: list[int], place: str = "x{a} = in[{a}] + k * along[{a}] + b * across[{a}]"
+) -> str:
     """Statements that fetch the entries of a row that the step reads."""
     lines, at = [], 0
     for a, shape in enumerate(row.shapes.values()):
         count = row.count(shape)
         here = [i for i in read if at <= i < at + count]
         if here:
-            lines.append(f"    const double *x{a} = in[{a}] + k * along[{a}] + b * across[{a}];")
+            lines.append(f"    const double *{place.format(a=a)};")
             lines += [f"    r[{i}][l] = x{a}[{i - at}];" for i in here]
         at += count
     return "\n".join("                " + line for line in lines)

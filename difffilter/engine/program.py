@@ -154,6 +154,11 @@ class Program:
         assert isinstance(argument, int)
         return argument
 
+    @property
+    def size(self) -> int:
+        """How many nodes there are."""
+        return len(self.nodes)
+
     def reciprocal(self, node: int) -> int | None:
         """The node of 1 / node, if there is one."""
         return self.known.get(("div", self.const(1.0), node))

@@ -55,7 +55,7 @@ class Layout:
         found, at = {}, 0
         for name, shape in self.shapes.items():
             count = self.count(shape)
-            found[name] = packed[..., at : at + count].reshape(*packed.shape[:-1], *shape)
+            found[name] = packed[..., at : at + count].reshape((*packed.shape[:-1], *shape))
             at += count
         return found
 
