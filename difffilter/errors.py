@@ -9,6 +9,7 @@ __all__ = [
     "InputError",
     "LogError",
     "NonFiniteError",
+    "RankError",
 ]
 
 
@@ -30,6 +31,10 @@ class CheckpointError(InputError):
 
 class EngineError(InputError):
     """The fused engine cannot run this here: no compiler, or an operation without a rule."""
+
+
+class RankError(DifffilterError, RuntimeError):
+    """One of several processes was lost, or cannot be reached."""
 
 
 class NonFiniteError(DifffilterError, ArithmeticError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import torch
@@ -14,7 +14,7 @@ from difffilter.engine.choice import eager_seconds, with_engine
 from difffilter.errors import NonFiniteError
 from difffilter.filter import Filter
 from difffilter.log import Log, Start
-from difffilter.losses import LOSSES, LossContext, check_losses, total_loss, weighted, with_scenes
+from difffilter.losses import LOSSES, LossContext, check_losses, weighted, with_scenes
 from difffilter.parameters import Values
 from difffilter.run import prepared, run
 
@@ -35,11 +35,6 @@ class Sums(NamedTuple):
     sizes: Mapping[str, int]
     tangents: Tensor
     gram: Tensor
-
-    def terms(self) -> dict[str, Tensor]:
-        """Each loss over all trajectories."""
-        total = torch.split(self.values.sum(0), list(self.sizes.values()))
-        return {n: LOSSES[n].value(part) for n, part in zip(self.sizes, total, strict=True)}
 
 
 def sum_losses(
@@ -166,6 +161,7 @@ def objective(
     context: LossContext | None = None,
     temperature: float | None = None,
     engine: str = "auto",
+    reduce: Callable[[Tensor], Tensor] | None = None,
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Weighted sum of losses of a run, and each term: differentiable towards ``values``.
 
@@ -174,22 +170,29 @@ def objective(
         losses: weight of each by name; context: what they need.
         engine: ``torch`` differentiates backwards through the run; ``fused`` carries the
             tangents beside the state; ``auto`` as for :func:`difffilter.run`.
+        reduce: of the sums over trajectories, where others run elsewhere.
 
     Raises:
         InputError, NonFiniteError: as for :func:`difffilter.run`, and for a loss that is
             unknown or needs truth.
     """
     context = context or LossContext()
+    check_losses(losses, log)
 
-    def fused() -> tuple[Tensor, dict[str, Tensor]]:
-        terms = sum_losses(filter, log, values, start, losses, context, temperature).terms()
-        return weighted(losses, terms), terms
+    def fused() -> tuple[Tensor, list[int]]:
+        sums = sum_losses(filter, log, values, start, losses, context, temperature)
+        return sums.values.sum(0), list(sums.sizes.values())
 
-    def plain() -> tuple[Tensor, dict[str, Tensor]]:
+    def plain() -> tuple[Tensor, list[int]]:
         track = run(filter, log, values, start, temperature=temperature, engine="torch")
-        return total_loss(losses, track, log, context)
+        rows = with_scenes(log, context)
+        parts = [LOSSES[name].rows(track, rows, context).flatten(0, -2).sum(0) for name in losses]
+        return torch.cat(parts), [len(part) for part in parts]
 
-    return with_engine(engine, fused, plain, 4.0 * eager_seconds(log))
+    total, sizes = with_engine(engine, fused, plain, 4.0 * eager_seconds(log))
+    split = torch.split(total if reduce is None else reduce(total), sizes)
+    terms = {name: LOSSES[name].value(part) for name, part in zip(losses, split, strict=True)}
+    return weighted(losses, terms), terms
 
 
 class _Sums(torch.autograd.Function):

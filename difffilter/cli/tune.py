@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import signal
 import sys
 from argparse import Namespace
 from pathlib import Path
@@ -18,7 +20,7 @@ from difffilter.cli.options import (
     whole,
 )
 from difffilter.cli.output import comparison_text, number, print_json, table
-from difffilter.errors import InputError
+from difffilter.errors import InputError, RankError
 
 if TYPE_CHECKING:
     from difffilter.checkpoint import Checkpoint
@@ -103,6 +105,14 @@ def command(args: Namespace) -> int:
     except KeyboardInterrupt:
         print(f"difffilter: interrupted; {_how_to_resume(state_path(out))}", file=sys.stderr)
         return 130
+    except RankError as error:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it is ending already
+        if int(os.environ.get("RANK", "0")) > 1:  # one line is enough
+            return 2
+        kept = "go on with --resume" if state_path(out).is_file() else "nothing was saved yet"
+        raise RankError(f"{error}; {kept}") from None
+    if not result.first:
+        return 0
     if args.json:
         print_json(_data(result, out, args.seed))
     else:

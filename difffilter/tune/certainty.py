@@ -54,19 +54,19 @@ def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Cert
     free = list(parameters.free().values())
     p = sum(x.numel() for x in free)
     now = expand()
-    scores = now.scores
-    middle = scores - scores.mean(0)
     hessian = torch.stack([_slope(free, i, expand) for i in range(p)])
     values, vectors = torch.linalg.eigh(0.5 * (hessian + hessian.mT))
-    spread = (middle @ vectors).square().sum(0).sqrt()  # of the gradient, along each direction
+    # Standard deviation of the gradient, and the gradient, along each direction.
+    noise = ((now.spread @ vectors) * vectors).sum(0).clamp_min(0.0).sqrt()
     ahead = (now.gradient @ vectors).abs()
-    determined = (values > 0.0) & (spread < FREE * values) & (ahead < AHEAD * values)
+    determined = (values > 0.0) & (noise < FREE * values) & (ahead < AHEAD * values)
     loose = vectors[:, ~determined]
-    kept = vectors[:, determined] / values[determined]
-    root = (middle @ kept) @ vectors[:, determined].mT  # (B, p), covariance = root^T root
-    relative = root.square().sum(0).sqrt()
+    kept = vectors[:, determined]
+    inverse = (kept / values[determined]) @ kept.mT
+    covariance = inverse @ now.spread @ inverse
+    relative = covariance.diagonal().clamp_min(0.0).sqrt()
     chain = chain_rule(parameters)
-    errors = (root @ chain.mT).square().sum(0).sqrt()
+    errors = ((chain @ covariance) * chain).sum(1).clamp_min(0.0).sqrt()
     # The share of each physical number's moves that lies in free directions.
     physical = chain.square() @ loose.square().sum(1) / chain.square().sum(1).clamp_min(1e-300)
     names = _names(parameters)

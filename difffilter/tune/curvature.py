@@ -11,6 +11,7 @@ from torch import Tensor
 from difffilter.losses import LOSSES
 from difffilter.objective import Sums
 from difffilter.parameters import ParameterSet
+from difffilter.tune.ranks import Ranks
 
 __all__ = ["SQUARED", "Expansion", "chain_rule", "expand"]
 
@@ -26,18 +27,23 @@ class Expansion(NamedTuple):
         terms: each loss before weighting.
         gradient: (p,), towards the unconstrained numbers.
         curvature: (p, p), Gauss-Newton's, positive semidefinite.
-        scores: (B, p), what each trajectory adds to the gradient.
+        spread: (p, p), sum over trajectories of s s^T, s being what each adds to the gradient,
+            less their mean.
     """
 
     loss: float
     terms: dict[str, Tensor]
     gradient: Tensor
     curvature: Tensor
-    scores: Tensor
+    spread: Tensor
 
 
 def expand(
-    weights: Mapping[str, float], sums: Sums, parameters: ParameterSet, share: float
+    weights: Mapping[str, float],
+    sums: Sums,
+    parameters: ParameterSet,
+    share: float,
+    among: Ranks | None = None,
 ) -> Expansion:
     """Expand the loss of the current values.
 
@@ -48,13 +54,16 @@ def expand(
     Args:
         weights: of each loss; sums: with tangents towards the physical values.
         share: weight of the prior.
+        among: the processes that hold the other trajectories.
     """
+    among = among or Ranks()
     chain = chain_rule(parameters)
     tangents = torch.einsum("bpq,pu->buq", sums.tangents, chain)
-    gram = chain.mT @ sums.gram.sum(0) @ chain
-    total = sums.values.detach().sum(0)
+    gram = chain.mT @ among.add(sums.gram.sum(0)) @ chain
+    total, moved = among.add(sums.values.detach().sum(0)), among.add(tangents.sum(0))
     p = chain.shape[-1]
     scores, curvature = total.new_zeros(len(sums.values), p), total.new_zeros(p, p)
+    gradient = total.new_zeros(p)
     loss, terms, at = 0.0, {}, 0
     for name, size in sums.sizes.items():
         here = slice(at, at := at + size)
@@ -63,17 +72,17 @@ def expand(
         term = value(part)
         (slope,) = torch.autograd.grad(term, part)
         bend: Tensor = torch.autograd.functional.hessian(value, total[here])  # type: ignore[no-untyped-call]
-        jacobian = tangents[..., here].sum(0)
-        weight = weights[name]
+        jacobian, weight = moved[..., here], weights[name]
+        gradient = gradient + weight * (jacobian @ slope)
         scores = scores + weight * (tangents[..., here] @ slope)
         curvature = curvature + weight * jacobian @ _positive(bend) @ jacobian.mT
         if LOSSES[name].residuals is not None:
             curvature = curvature + 2.0 * weight * slope[0] * gram
         loss, terms[name] = loss + weight * float(term.detach()), term.detach()
     prior, slope, bend = _prior(parameters, share)
-    return Expansion(
-        loss + prior, terms, scores.sum(0) + slope, curvature + torch.diag(bend), scores
-    )
+    count = float(among.add(torch.tensor(float(len(scores)))))
+    spread = among.add(scores.mT @ scores) - torch.outer(gradient, gradient) / count
+    return Expansion(loss + prior, terms, gradient + slope, curvature + torch.diag(bend), spread)
 
 
 def chain_rule(parameters: ParameterSet) -> Tensor:

@@ -33,9 +33,10 @@ from difffilter.tune.certainty import Certainty, certainty
 from difffilter.tune.curvature import Expansion, expand
 from difffilter.tune.data import Batch, Trajectories, Windows, shuffled
 from difffilter.tune.diagnose import gradient_error
-from difffilter.tune.optimisers import Optimiser, optimiser_for
+from difffilter.tune.optimisers import Optimiser, chosen, optimiser_for
+from difffilter.tune.ranks import Ranks
 from difffilter.tune.settings import TuneSettings
-from difffilter.tune.state import load_state, save_state
+from difffilter.tune.state import load_state, read_state, save_state
 
 __all__ = ["Descent"]
 
@@ -51,7 +52,9 @@ class Descent:
         seed: int,
         log: Log | None,
         engine: str = "auto",
+        ranks: Ranks | None = None,
     ) -> None:
+        self.ranks = ranks or Ranks()
         # Nothing is isolated in simulated trajectories of built-in sensors.
         filter = filter.centralised if log is None else lean(filter, log.only(filter.channels))
         self.scenario, self.filter, self.settings, self.seed = scenario, filter, settings, seed
@@ -74,6 +77,7 @@ class Descent:
             rows = min(settings.window, log.steps)
             self.data = Windows(self.check, self.check.start, rows, settings.refresh)
         self.engine = self._pick(engine)
+        self.optimiser = chosen(settings, self.engine)
         if isinstance(self.data, Windows):
             self.data.engine = self.engine
 
@@ -103,7 +107,8 @@ class Descent:
         if resume:
             if state_file is None:
                 raise InputError("resume: expected out, beside which the state stands")
-            state = load_state(state_file, self.fingerprint())
+            content = read_state(state_file) if self.ranks.first else None
+            state = load_state(state_file, self.fingerprint(), self.ranks.told(content))
         best = state["best"] if state else {"loss": math.inf}
         history: list[dict[str, Any]] = state["history"] if state else []
         first = state["start"] if state else 0
@@ -131,7 +136,7 @@ class Descent:
         settings = self.settings
         parameters = self._initial(start)
         free = list(parameters.free().values())
-        optimiser = optimiser_for(settings, parameters)
+        optimiser = optimiser_for(self.optimiser, settings, parameters, self.ranks)
         own_best, stale, loss, at = math.inf, 0, math.nan, 0
         if resumed is not None:
             with torch.no_grad():
@@ -162,7 +167,7 @@ class Descent:
                 own_best = min(own_best, score)
                 if score < best["loss"]:
                     best = {"loss": score, "values": values, "step": step, "start": start}
-                if state_file is not None:
+                if state_file is not None and self.ranks.first:
                     save_state(
                         state_file,
                         {
@@ -196,24 +201,29 @@ class Descent:
     ) -> float:
         """One step of the optimiser; the loss before it."""
         settings = self.settings
+        free = list(parameters.free().values())
         changed = self.data.refresh(self.filter, parameters.frozen_values(), step)
         if optimiser.full:
-            batch = self.data.batch(torch.arange(self.data.count))
+            index = torch.arange(self.data.count)
         else:
             index = shuffled(self.data.count, settings.batch, self.seed + start, step)
-            batch = self.data.batch(index)
+        batch = self.data.batch(self.ranks.share(index))
         temperatures: list[float] = []
 
         def evaluate(temperature: float) -> tuple[Tensor, Mapping[str, Tensor]]:
             temperatures.append(temperature)
             loss, terms = self.loss(parameters.values(), batch, temperature)
-            return loss + parameters.negative_log_prior() / self.data.count, terms
+            prior = parameters.negative_log_prior() / self.data.count
+            # Gradients of all processes are added: each brings its share of the prior's.
+            size = self.ranks.size
+            return loss + prior / size + (1.0 - 1.0 / size) * prior.detach(), terms
 
         def expanded(temperature: float) -> Expansion:
             temperatures.append(temperature)
             return self.expand(parameters, batch, temperature)
 
         moved = optimiser.step(step, evaluate, expanded, changed)
+        self.ranks.agree(free)
         if not math.isfinite(moved.norm):
             raise gradient_error(
                 self.filter, parameters.values(), batch, settings.loss, self.context,
@@ -229,6 +239,7 @@ class Descent:
         return objective(
             self.filter, batch.log, values, batch.start, losses=self.settings.loss,
             context=self.context, temperature=temperature, engine=self.engine,
+            reduce=self.ranks.differentiable_sum,
         )  # fmt: skip
 
     def expand(
@@ -240,7 +251,7 @@ class Descent:
             self.filter, batch.log, parameters.values(), batch.start, loss, self.context,
             temperature, self.engine,
         )  # fmt: skip
-        return expand(loss, sums, parameters, 1.0 / self.data.count)
+        return expand(loss, sums, parameters, 1.0 / self.data.count, self.ranks)
 
     def certainty(self, values: Values) -> Certainty | None:
         """How well the training data determine the values; None with torch: too slow there."""
@@ -248,7 +259,7 @@ class Descent:
             return None
         parameters = ParameterSet(self.filter.declarations, values)
         self.data.refresh(self.filter, values, 0)
-        batch = self.data.batch(torch.arange(self.data.count))
+        batch = self.data.batch(self.ranks.share(torch.arange(self.data.count)))
         cold = self.settings.temperature[1]
         return certainty(parameters, partial(self.expand, parameters, batch, cold))
 
@@ -273,9 +284,14 @@ class Descent:
 
     def _validate(self, values: Values) -> float:
         """Loss of the frozen, hard form on the validation data."""
-        assert self.check.start is not None
+        own = self.check
+        if self.ranks.size > 1:
+            own = own.select(self.ranks.share(torch.arange(own.trajectories)))
+        assert own.start is not None
         with torch.no_grad():
-            loss, _ = self.loss(values, Batch(self.check, self.check.start), None)
+            loss, _ = self.loss(values, Batch(own, own.start), None)
+        loss = torch.as_tensor(loss)
+        self.ranks.agree([loss])
         if not bool(torch.isfinite(loss)):
             raise InputError("validation: the loss is not finite; has the data any row to score?")
         return float(loss)

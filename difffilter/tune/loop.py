@@ -16,6 +16,7 @@ from difffilter.log import Log
 from difffilter.scenario.scenario import Scenario
 from difffilter.tune.board import Board
 from difffilter.tune.descent import Descent
+from difffilter.tune.ranks import ranks
 from difffilter.tune.settings import TuneSettings
 from difffilter.tune.state import state_path
 
@@ -31,11 +32,13 @@ class TuneResult:
         history: one entry per validation: start, step, training and validation loss, values.
         held_out: published, tuned and clairvoyant on the same test trajectories; None where
             there is nothing with truth to test on.
+        first: whether this is the only process, or the first of several: that which writes.
     """
 
     checkpoint: Checkpoint
     history: list[dict[str, Any]]
     held_out: Comparison | None
+    first: bool = True
 
 
 def tune(
@@ -52,6 +55,9 @@ def tune(
     engine: str = "auto",
 ) -> TuneResult:
     """Tune a system's parameters by gradient, freeze them and compare on held-out data.
+
+    Started by ``torchrun``, each process runs its share of the trajectories; the first one
+    alone writes files and compares.
 
     The gradient sees the soft weights at a falling temperature; the values that are kept
     are those whose frozen, hard form is best on the validation data (the published ones, if
@@ -81,8 +87,9 @@ def tune(
         raise InputError(f"tune: system {chosen.system} is a baseline, expected a filter")
     if not any(p.tuned for p in system.declarations.values()):
         raise InputError(f"tune: no parameter of {chosen.system} has tuned = true")
-    job = Descent(scenario, system, chosen, seed, log, engine)
-    board = Board(tensorboard)
+    among = ranks()
+    job = Descent(scenario, system, chosen, seed, log, engine, among)
+    board = Board(tensorboard if among.first else None)
     try:
         best, history = job.search(
             None if out is None else state_path(out), resume, board, progress
@@ -92,6 +99,8 @@ def tune(
     training = {
         "loss": dict(chosen.loss),
         "seed": seed,
+        "engine": job.engine,
+        "optimiser": job.optimiser,
         "settings": json.loads(json.dumps(asdict(chosen))),
         "data": list(log.names) if log is not None else f"{chosen.trajectories} simulated",
         "validation_loss": best["loss"],
@@ -105,6 +114,8 @@ def tune(
         training["relative_errors"] = known.relative
         training["undetermined"] = list(known.free)
     checkpoint = Checkpoint(scenario, chosen.system, best["values"], None, training)
+    if not among.first:
+        return TuneResult(checkpoint, history, None, first=False)
     if out is not None:  # before the comparison: what was tuned is not lost if that fails
         save(checkpoint, out)
     held_out = _held_out(checkpoint, chosen, seed, test, progress, engine)

@@ -11,9 +11,10 @@ from torch import Tensor
 
 from difffilter.parameters import ParameterSet
 from difffilter.tune.curvature import SQUARED, Expansion
+from difffilter.tune.ranks import Ranks
 from difffilter.tune.settings import TuneSettings
 
-__all__ = ["Adam", "GaussNewton", "Lbfgs", "Moved", "Optimiser", "optimiser_for"]
+__all__ = ["Adam", "GaussNewton", "Lbfgs", "Moved", "Optimiser", "chosen", "optimiser_for"]
 
 #: The loss and its terms of the current values at a temperature, differentiable.
 Evaluate = Callable[[float], tuple[Tensor, Mapping[str, Tensor]]]
@@ -51,15 +52,27 @@ class Optimiser(Protocol):
         """Inverse of :meth:`state`."""
 
 
-def optimiser_for(settings: TuneSettings, parameters: ParameterSet) -> Optimiser:
-    """The optimiser that the settings name; ``auto`` chooses by the losses."""
-    name = settings.optimiser
-    if name == "auto":
-        squared = "position" in settings.loss and set(settings.loss) <= SQUARED
-        name = "gauss-newton" if squared else "adam"
+def chosen(settings: TuneSettings, engine: str) -> str:
+    """Name of the optimiser; ``auto`` chooses by losses and engine."""
+    if settings.optimiser != "auto":
+        return settings.optimiser
+    squared = "position" in settings.loss and set(settings.loss) <= SQUARED
+    return "gauss-newton" if squared and engine == "fused" else "adam"
+
+
+def optimiser_for(
+    name: str, settings: TuneSettings, parameters: ParameterSet, among: Ranks
+) -> Optimiser:
+    """The optimiser of that name.
+
+    Args:
+        among: processes whose gradients are added.
+    """
     if name == "adam":
-        return Adam(settings, parameters)
-    return Lbfgs(settings, parameters) if name == "lbfgs" else GaussNewton(settings, parameters)
+        return Adam(settings, parameters, among)
+    if name == "lbfgs":
+        return Lbfgs(settings, parameters, among)
+    return GaussNewton(settings, parameters)
 
 
 def _temperature(settings: TuneSettings, share: float) -> float:
@@ -68,12 +81,19 @@ def _temperature(settings: TuneSettings, share: float) -> float:
     return float(hot * (cold / hot) ** min(share, 1.0))
 
 
+def _add_gradients(free: list[torch.nn.Parameter], among: Ranks) -> None:
+    for x in free:
+        if x.grad is not None:
+            x.grad = among.add(x.grad)
+
+
 class Adam:
     """Stochastic gradients; the rate falls along a cosine to a twentieth."""
 
     full, converged = False, False
 
-    def __init__(self, settings: TuneSettings, parameters: ParameterSet) -> None:
+    def __init__(self, settings: TuneSettings, parameters: ParameterSet, among: Ranks) -> None:
+        self.among = among
         self.settings, self.every = settings, settings.evaluate_every
         self.free = list(parameters.free().values())
         self.adam = torch.optim.Adam(self.free, lr=settings.learning_rate, betas=(0.9, 0.98))
@@ -87,6 +107,7 @@ class Adam:
         self.adam.zero_grad()
         loss, terms = evaluate(_temperature(settings, progress))
         loss.backward()  # type: ignore[no-untyped-call]
+        _add_gradients(self.free, self.among)
         norm = torch.nn.utils.clip_grad_norm_(self.free, settings.clip)
         if bool(torch.isfinite(norm)):
             self.adam.step()
@@ -108,7 +129,8 @@ class Lbfgs:
 
     full, converged = True, False
 
-    def __init__(self, settings: TuneSettings, parameters: ParameterSet) -> None:
+    def __init__(self, settings: TuneSettings, parameters: ParameterSet, among: Ranks) -> None:
+        self.among = among
         self.settings, self.every = settings, max(settings.evaluate_every // 5, 1)
         self.free = list(parameters.free().values())
         self._fresh()
@@ -127,6 +149,7 @@ class Lbfgs:
             self.lbfgs.zero_grad()
             loss, terms = evaluate(_temperature(self.settings, step / COOLING))
             loss.backward()  # type: ignore[no-untyped-call]
+            _add_gradients(self.free, self.among)
             square = sum(
                 (x.grad.square().sum() for x in self.free if x.grad is not None), torch.zeros(())
             )

@@ -19,8 +19,9 @@ class TuneSettings:
         loss: weight of each loss by name (see :mod:`difffilter.losses`); their sum is
             minimised.
         optimiser: ``gauss-newton`` (all trajectories in every step, tens of steps), ``adam``
-            (batches, hundreds), ``lbfgs``; ``auto``: Gauss-Newton where ``position`` is among
-            the losses and all others are consistencies, else Adam.
+            (batches, hundreds), ``lbfgs``; ``auto``: Gauss-Newton where the fused engine
+            runs, ``position`` is among the losses and all others are consistencies; else
+            Adam.
         trajectories: simulated training trajectories.
         validation: simulated validation trajectories, for early stopping.
         test: simulated held-out trajectories, for the result that is frozen with the values.

@@ -12,7 +12,7 @@ import torch
 from difffilter.errors import CheckpointError
 from difffilter.files import write_atomically
 
-__all__ = ["load_state", "save_state", "state_path"]
+__all__ = ["load_state", "read_state", "save_state", "state_path"]
 
 #: First bytes of a state file; the SHA-256 of all that follows it comes next.
 MAGIC = b"difffilter tuning state 1\n"
@@ -35,21 +35,29 @@ def save_state(path: Path, state: dict[str, Any]) -> None:
     write_atomically(path, MAGIC + hashlib.sha256(content).digest() + content)
 
 
-def load_state(path: Path, fingerprint: str) -> dict[str, Any]:
-    """Read with ``weights_only=True``.
-
-    Raises:
-        CheckpointError: no such file, damaged, another version, or the state of another run
-            (other scenario, settings, seed or logs, by their ``fingerprint``).
-    """
+def read_state(path: Path) -> bytes:
+    """The bytes of a state file; CheckpointError without one."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except FileNotFoundError:
         raise CheckpointError(
             f"{path}: found no such file, expected the state of a run to resume"
         ) from None
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def load_state(path: Path, fingerprint: str, data: bytes | None = None) -> dict[str, Any]:
+    """Read with ``weights_only=True``.
+
+    Args:
+        data: the bytes of the file, where another process has read them.
+
+    Raises:
+        CheckpointError: no such file, damaged, another version, or the state of another run
+            (other scenario, settings, seed or logs, by their ``fingerprint``).
+    """
+    data = read_state(path) if data is None else data
     digest, content = data[len(MAGIC) :][:DIGEST], data[len(MAGIC) + DIGEST :]
     if not data.startswith(MAGIC) or hashlib.sha256(content).digest() != digest:
         raise CheckpointError(f"{path}: damaged, or not a tuning state of this version")
