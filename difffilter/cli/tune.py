@@ -7,6 +7,7 @@ import shlex
 import signal
 import sys
 from argparse import Namespace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -153,13 +154,19 @@ def _entries(checkpoint: Checkpoint) -> list[tuple[str, float, float, str]]:
 
 def _data(result: TuneResult, out: str, seed: int) -> dict[str, Any]:
     checkpoint = result.checkpoint
+    errors = checkpoint.training.get("standard_errors", {})
     return {
         "scenario": checkpoint.scenario.name,
         "system": checkpoint.system,
         "seed": seed,
         "checkpoint": out,
         "values": {
-            entry: {"published": old, "tuned": new, "unit": unit}
+            entry: {
+                "published": old,
+                "tuned": new,
+                "unit": unit,
+                "standard_error": errors.get(entry),
+            }
             for entry, old, new, unit in _entries(checkpoint)
         },
         "training": checkpoint.training,
@@ -167,14 +174,25 @@ def _data(result: TuneResult, out: str, seed: int) -> dict[str, Any]:
     }
 
 
+def _error(entry: str, errors: Mapping[str, float | None]) -> str:
+    """A standard error; "free" where the data do not determine the value."""
+    if entry not in errors:
+        return ""
+    value = errors[entry]
+    return "free" if value is None else number(value)
+
+
 def _text(result: TuneResult, out: str) -> str:
     checkpoint = result.checkpoint
+    errors = checkpoint.training.get("standard_errors", {})
     rows = (
-        [entry, number(old), "->", number(new), unit]
+        [entry, number(old), "->", number(new), _error(entry, errors), unit]
         for entry, old, new, unit in _entries(checkpoint)
     )
     title = f"{checkpoint.scenario.name}, {checkpoint.system}"
-    lines = [f"{title}: tuned values", table(["parameter", "before", "", "after", "unit"], rows)]
+    head = ["parameter", "before", "", "after", "standard error", "unit"]
+    lines = [f"{title}: tuned values", table(head, rows)]
+    lines += [f"warning: {line}" for line in checkpoint.training.get("undetermined", ())]
     if checkpoint.training["step"] == 0 and checkpoint.training["start"] == 0:
         lines.append("Nothing beat the published values on the validation data; they are kept.")
     if result.held_out is None:

@@ -32,12 +32,10 @@ class Certainty:
     Attributes:
         errors: standard error of each tuned number by entry name, in its unit; None where
             the data do not determine it.
-        relative: the same in unconstrained numbers (of a scale: relative).
         free: one line for each direction that the data do not determine.
     """
 
     errors: dict[str, float | None]
-    relative: dict[str, float | None]
     free: tuple[str, ...]
 
 
@@ -64,18 +62,15 @@ def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Cert
     kept = vectors[:, determined]
     inverse = (kept / values[determined]) @ kept.mT
     covariance = inverse @ now.spread @ inverse
-    relative = covariance.diagonal().clamp_min(0.0).sqrt()
     chain = chain_rule(parameters)
     errors = ((chain @ covariance) * chain).sum(1).clamp_min(0.0).sqrt()
     # The share of each physical number's moves that lies in free directions.
-    physical = chain.square() @ loose.square().sum(1) / chain.square().sum(1).clamp_min(1e-300)
-    names = _names(parameters)
-    known = (physical < 0.5).tolist()
-    scaled = relative.tolist() if len(relative) == len(names) else [None] * len(names)
+    reach = chain.square().sum(1)
+    lost = chain.square() @ loose.square().sum(1) / reach.clamp_min(1e-300)
+    each = zip(_names(parameters), errors.tolist(), lost.tolist(), reach.tolist(), strict=True)
     return Certainty(
-        {n: e if k else None for n, e, k in zip(names, errors.tolist(), known, strict=True)},
-        {n: e if k else None for n, e, k in zip(names, scaled, known, strict=True)},
-        tuple(_told(parameters, direction) for direction in loose.mT),
+        {name: error if part < 0.5 else None for name, error, part, moves in each if moves > 0.0},
+        tuple(_told(parameters, chain, direction) for direction in loose.mT),
     )
 
 
@@ -100,22 +95,22 @@ def _names(parameters: ParameterSet) -> list[str]:
     return [entry for name in parameters.free() for entry in declarations[name].entries()]
 
 
-def _told(parameters: ParameterSet, direction: Tensor) -> str:
+def _told(parameters: ParameterSet, chain: Tensor, direction: Tensor) -> str:
     """A free direction in words."""
-    named: list[tuple[str, float, bool]] = []
-    at = 0
-    for name, raw in parameters.free().items():
-        parameter = parameters.declarations[name]
-        entries = parameter.entries()
-        own = entries if len(entries) == raw.numel() else [name] * raw.numel()
-        scale = isinstance(parameter.constraint, (Positive, Above))
-        for entry, part in zip(own, direction[at : at + raw.numel()].tolist(), strict=True):
-            if abs(part) > NAMED:
-                named.append((entry, part, scale))
-        at += raw.numel()
+    entries = _names(parameters)
+    scales = [
+        isinstance(parameters.declarations[name].constraint, (Positive, Above))
+        for name, raw in parameters.free().items()
+        for _ in range(raw.numel())
+    ]
+    named = [
+        (entries[int(column.abs().argmax())], part, scale)
+        for column, part, scale in zip(chain.mT, direction.tolist(), scales, strict=True)
+        if abs(part) > NAMED
+    ]
     names = list(dict.fromkeys(entry for entry, _, _ in named))
     if len(names) == 1:
-        return f"{names[0]}: the data do not determine it"
+        return f"{names[0]}: the data do not determine it, or push it to its bound"
     together = " and ".join([", ".join(names[:-1]), names[-1]])
     if len(named) == 2 and all(scale for _, _, scale in named):
         kind = "ratio" if named[0][1] * named[1][1] > 0.0 else "product"

@@ -111,7 +111,6 @@ def tune(
     known = job.certainty(best["values"])
     if known is not None:
         training["standard_errors"] = known.errors
-        training["relative_errors"] = known.relative
         training["undetermined"] = list(known.free)
     checkpoint = Checkpoint(scenario, chosen.system, best["values"], None, training)
     if not among.first:
