@@ -33,6 +33,9 @@ def tangent(
         return f"{chosen} != 0.0 ? {moved.get(args[1], '0.0')} : {moved.get(args[2], '0.0')}"
     if op in ("min", "max"):
         return _extreme(op, args, value, keep, moved)
+    if op == "div":  # 1 / b: the program divides by no other way
+        own = keep(value(node))
+        return f"-{own} * ({own} * {moved[args[1]]})"  # in this order: no inf * 0
     terms = []
     for at, argument in enumerate(args):
         if argument in moved:
@@ -54,8 +57,6 @@ def _factor(op: str, at: int, node: int, args: Sequence[int], value: Write) -> s
         return "-1" if op == "neg" or (op == "sub" and at == 1) else "1"
     if op == "mul":
         return a if at == 1 else b
-    if op == "div":  # 1 / b: the program divides by no other way
-        return f"-{value(node)} * {value(node)}" if at == 1 else f"1.0 / {b}"
     if op == "atan2":
         square = f"({a} * {a} + {b} * {b})"
         return f"{b} / {square}" if at == 0 else f"-{a} / {square}"

@@ -231,4 +231,4 @@ def _places(layout: Layout, names: Sequence[str] | frozenset[str]) -> set[int]:
 
 
 def _single(x: Tensor, first: int) -> Tensor:
-    return x[(0,) * first]
+    return x[(0,) * first].clone()

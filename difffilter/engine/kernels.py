@@ -89,7 +89,7 @@ long one(const double *c, const double *h, double *state, const double *const *i
     memcpy(output, o + {states}, {numbers} * sizeof *output);
     for (long i = {numbers}; i < {results}; i++)
         flags[i - {numbers}] = o[{states} + i][0] != 0.0;
-    for (long i = 0; i < {states}; i++)
+    for (long i = 0; i < {belief}; i++)
         if (!isfinite(o[i][0]))
             return i + 1;
     memcpy(state, o, {states} * sizeof *state);
@@ -165,7 +165,7 @@ int sums(long steps, long trajectories, const double *c, const double *start,
                 step(c, h, s, r, t, o, p, dc, dh, ds, dt, dx);
                 memcpy(s, o, {states} * sizeof s[0]);
                 double finite[W] = {{0}};
-                for (long i = 0; i < {states}; i++)
+                for (long i = 0; i < {belief}; i++) /* mean and deviations; not memory */
                     for (long l = 0; l < W; l++)
                         finite[l] += s[i][l] * 0.0;
                 for (long l = 0; l < W; l++)
@@ -216,6 +216,7 @@ def run_source(traced: Traced, width: int = WIDTH) -> str:
         "load": _load(traced.row, step.read),
         "one": _load(traced.row, step.read, "x{a} = in[{a}]"),
         "states": traced.state.size,
+        "belief": _belief(traced),
         "results": traced.output.size,
         "numbers": traced.output.size - 2 * traced.row.count(traced.row.shapes["z"]),
     }
@@ -245,9 +246,16 @@ def sums_source(traced: Traced, active: set[int] | None, states: set[int]) -> st
         load=_load(traced.row, step.read),
         advance=advance,
         states=count,
+        belief=_belief(traced),
         q=len(added),
         e=len(traced.residuals),
     )
+
+
+def _belief(traced: Traced) -> int:
+    """How many numbers mean and deviations are; they come first."""
+    shapes = traced.state.shapes
+    return traced.state.count(shapes["mean"]) + traced.state.count(shapes["deviations"])
 
 
 def _head(traced: Traced, step: Step, width: int) -> str:

@@ -12,9 +12,21 @@ from torch.fx import GraphModule, Node
 from difffilter.engine.program import Program
 from difffilter.errors import EngineError
 
-__all__ = ["Lowering"]
+__all__ = ["Lowering", "RuleError"]
 
 Array = np.ndarray[Any, Any]
+
+
+class RuleError(EngineError):
+    """An operation that has no rule.
+
+    Attributes:
+        operation: as torch names it.
+    """
+
+    def __init__(self, operation: str) -> None:
+        self.operation = operation
+        super().__init__(f"engine: no rule for {operation}")
 
 
 class Lowering:
@@ -28,7 +40,7 @@ class Lowering:
         self.program = program
 
     def run(self, graph: GraphModule, inputs: Sequence[Array]) -> list[Any]:
-        """Outputs of the graph; EngineError names an operation that has no rule, and its line."""
+        """Outputs of the graph; RuleError names an operation that has no rule."""
         values: dict[Node, Any] = {}
         feed = iter(inputs)
         for node in graph.graph.nodes:
@@ -45,7 +57,7 @@ class Lowering:
                 name = "getitem" if "getitem" in name else name.partition(".")[2]
                 rule = getattr(self, "op_" + name.split(".")[0].strip("_"), None)
                 if rule is None:
-                    raise EngineError(f"engine: no rule for {name}{_where(node)}")
+                    raise RuleError(str(node.target))
                 self.name = name
                 values[node] = rule(*arguments, **options)
         raise EngineError("engine: found a graph without output")
@@ -485,8 +497,3 @@ def _mapped(tree: Any, values: dict[Node, Any]) -> Any:
     if isinstance(tree, dict):
         return {key: _mapped(item, values) for key, item in tree.items()}
     return tree
-
-
-def _where(node: Node) -> str:
-    trace = (node.stack_trace or "").strip().splitlines()
-    return f", used at {trace[-2].strip()}" if len(trace) > 1 else ""

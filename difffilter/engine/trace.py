@@ -12,8 +12,10 @@ from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from difffilter.belief import Belief, Measurement, Record
-from difffilter.engine.lower import Array, Lowering
+from difffilter.engine.lower import Array, Lowering, RuleError
+from difffilter.engine.origin import origin
 from difffilter.engine.program import Program
+from difffilter.errors import EngineError
 from difffilter.filter import Filter
 from difffilter.log import Rows
 from difffilter.losses import LOSSES, LossContext
@@ -143,7 +145,9 @@ def trace(
     state = [belief.mean, belief.deviations, *(belief.memory[name] for name in memory)]
     row = [torch.zeros(m, dtype=dtype), torch.ones((), dtype=dtype), *inputs.values()]
     with torch.no_grad():
-        graph = make_fx(flat)(cs, state, row)
+        # Copies: one tensor in two places would be traced as one input.
+        parts = ([x.clone() for x in part] for part in (cs, state, row))
+        graph = make_fx(flat)(*parts)
     program = Program()
     layouts = (
         Layout({name: tuple(c.shape) for name, c in zip(names, cs, strict=True)}),
@@ -155,7 +159,12 @@ def trace(
         for group, layout in zip(("c", "s", "r"), layouts, strict=True)
         for array in layout.inputs(program, group)
     ]
-    found = Lowering(program).run(graph, feed)
+    try:
+        found = Lowering(program).run(graph, feed)
+    except RuleError as error:
+        where = origin(error.operation, lambda: flat(cs, state, row))
+        name = error.operation.removeprefix("aten.")
+        raise EngineError(f"engine: no rule for {name}{where}") from None
     new_state, found = found[: len(state)], found[len(state) :]
     record, found = found[: len(Record._fields)], found[len(Record._fields) :]
     output = Layout({name: np.shape(x) for name, x in zip(Record._fields, record, strict=True)})

@@ -27,8 +27,8 @@ class Expansion(NamedTuple):
         terms: each loss before weighting.
         gradient: (p,), towards the unconstrained numbers.
         curvature: (p, p), Gauss-Newton's, positive semidefinite.
-        spread: (p, p), sum over trajectories of s s^T, s being what each adds to the gradient,
-            less their mean.
+        spread: (p, p), sum over trajectories of s s^T, s being what each adds to the gradient
+            (through S and through J), less their mean.
     """
 
     loss: float
@@ -74,14 +74,16 @@ def expand(
         bend: Tensor = torch.autograd.functional.hessian(value, total[here])  # type: ignore[no-untyped-call]
         jacobian, weight = moved[..., here], weights[name]
         gradient = gradient + weight * (jacobian @ slope)
-        scores = scores + weight * (tangents[..., here] @ slope)
+        own = sums.values.detach()[:, here]
+        scores = scores + weight * (tangents[..., here] @ slope + own @ bend @ jacobian.mT)
         curvature = curvature + weight * jacobian @ _positive(bend) @ jacobian.mT
         if LOSSES[name].residuals is not None:
             curvature = curvature + 2.0 * weight * slope[0] * gram
         loss, terms[name] = loss + weight * float(term.detach()), term.detach()
     prior, slope, bend = _prior(parameters, share)
     count = float(among.add(torch.tensor(float(len(scores)))))
-    spread = among.add(scores.mT @ scores) - torch.outer(gradient, gradient) / count
+    summed = among.add(scores.sum(0))
+    spread = among.add(scores.mT @ scores) - torch.outer(summed, summed) / count
     return Expansion(loss + prior, terms, gradient + slope, curvature + torch.diag(bend), spread)
 
 

@@ -164,10 +164,11 @@ class Lbfgs:
         return Moved(float(loss), terms, norm)
 
     def state(self) -> dict[str, Any]:
-        return self.lbfgs.state_dict()
+        return {"lbfgs": self.lbfgs.state_dict(), "converged": self.converged}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self.lbfgs.load_state_dict(state)
+        self.lbfgs.load_state_dict(state["lbfgs"])
+        self.converged = state["converged"]
 
 
 class GaussNewton:
@@ -195,6 +196,7 @@ class GaussNewton:
             return Moved(now.loss, now.terms, norm)
         move = self._move(now)
         fall = -float(now.gradient @ move + 0.5 * move @ now.curvature @ move)
+        before = [x.detach().clone() for x in self.free]
         self._shift(move)
         trial = expand(temperature)
         gain = (now.loss - trial.loss) / fall if fall > 0.0 else -1.0
@@ -203,7 +205,9 @@ class GaussNewton:
             self.damping *= max(1.0 / 5.0, 1.0 - (2.0 * gain - 1.0) ** 3)
             self.damping, self.growth = max(self.damping, 1e-7), 2.0
         else:
-            self._shift(-move)
+            with torch.no_grad():
+                for x, old in zip(self.free, before, strict=True):
+                    x.copy_(old)
             self.damping, self.growth = self.damping * self.growth, 2.0 * self.growth
         flat = fall < 1e-6 and self.damping < 1.0
         self.converged = step > COOLING and (flat or self.damping > 1e6)

@@ -1,0 +1,47 @@
+"""``difffilter export``: a frozen filter as C99."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from difffilter.cli.options import Commands
+from difffilter.errors import InputError
+
+__all__ = ["add"]
+
+EXAMPLE = """\
+examples:
+  difffilter export mine.json --to c --out filter
+  cd filter && cc -std=c99 -O2 airport_mlat.c airport_mlat_test.c -lm && ./a.out
+
+Files: NAME.h, NAME.c, golden vectors and a self-test. No heap, no library but libm; compile
+with -DNAME_FLOAT for float.
+"""
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "export",
+        help="write a checkpoint's filter as C99",
+        description="Write the frozen filter of a checkpoint as C99, with a self-test.",
+        example=EXAMPLE,
+    )
+    parser.add_argument("checkpoint", metavar="CHECKPOINT", help="a .json checkpoint")
+    parser.add_argument("--to", choices=("c",), required=True, help="language")
+    parser.add_argument("--out", metavar="DIR", required=True, help="folder to write into")
+    parser.add_argument("--name", metavar="NAME", help="of the files (the scenario's)")
+    parser.set_defaults(command=command)
+
+
+def command(args: Namespace) -> int:
+    """Write the files and name them."""
+    if args.name is not None and not args.name.isidentifier():
+        raise InputError(f"--name: found {args.name!r}, expected letters, digits and _")
+
+    from difffilter.checkpoint import load
+    from difffilter.export.c99 import export_c
+
+    for path in export_c(load(args.checkpoint), args.out, args.name):
+        print(path)
+    return 0

@@ -1,0 +1,1 @@
+"""Frozen filters as C99: the step's own scalar program, for machines without Python."""

@@ -1,0 +1,201 @@
+"""The C99 files around the generated statements."""
+
+__all__ = ["GOLDEN", "HEADER", "SOURCE", "TEST"]
+
+HEADER = """\
+/* {about}: a frozen filter, written by difffilter {version}. Generated; do not edit.
+
+   Belief: mean and deviations X, covariance P = X X^T. One step predicts over dt seconds and
+   conditions on the channels that are present, in this order:
+   {channels}
+   Define {guard}_FLOAT to compile everything in float. */
+#ifndef {guard}_H
+#define {guard}_H
+
+#ifdef {guard}_FLOAT
+typedef float {name}_real;
+#else
+typedef double {name}_real;
+#endif
+
+#define {guard}_STATES {n}
+#define {guard}_CHANNELS {m}
+
+/* The frozen values. Others follow from them in {name}.c: to change one, export again. */
+{constants}
+
+typedef struct {{
+{fields}
+}} {name}_belief;
+
+{inputs}typedef struct {{
+    {name}_real innovation[{m}];   /* nominal, 0 where missing */
+    {name}_real standardised[{m}]; /* what the weight saw, in sigmas */
+    {name}_real weight[{m}];       /* final, 0 where missing */
+    {name}_real gate[{m}];         /* 1 passed, 0 failed */
+}} {name}_result;
+
+/* Start a belief; deviations is any factor X of the covariance, for example lower Cholesky. */
+void {name}_start({name}_belief *belief, const {name}_real mean[{n}],
+                  {name}_real deviations[{n}][{n}]);
+
+/* One step. present[i] is 0 where channel i is missing (z[i] is then not read); result may be
+   NULL. Returns 0, or 1 where the new belief is not finite: the belief is then as it was. */
+int {name}_step({name}_belief *belief, const {name}_real z[{m}],
+                const unsigned char present[{m}], {name}_real dt{argument},
+                {name}_result *result);
+
+#endif
+"""
+
+SOURCE = """\
+/* Generated beside {name}.h; do not edit. C99 and libm alone. */
+#include "{name}.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#ifdef {guard}_FLOAT
+#define REAL float
+#define F(name) name##f
+#define SMALLEST FLT_MIN
+#define EPSILON FLT_EPSILON
+#else
+#define REAL double
+#define F(name) name
+#define SMALLEST DBL_MIN
+#define EPSILON DBL_EPSILON
+#endif
+#define M_SQRT(x) F(sqrt)(x)
+#define M_EXP(x) F(exp)(x)
+#define M_LOG(x) F(log)(x)
+#define M_LOG1P(x) F(log1p)(x)
+#define M_TANH(x) F(tanh)(x)
+#define M_SIN(x) F(sin)(x)
+#define M_COS(x) F(cos)(x)
+#define M_FLOOR(x) F(floor)(x)
+#define M_ATAN2(y, x) F(atan2)(y, x)
+#define M_ABS(x) F(fabs)(x)
+
+/* What follows from the frozen values. */
+{derived}
+
+void {name}_start({name}_belief *belief, const REAL mean[{n}], REAL deviations[{n}][{n}])
+{{
+    memcpy(belief->mean, mean, sizeof belief->mean);
+    memcpy(belief->deviations, deviations, sizeof belief->deviations);
+{start}
+}}
+
+static int finite_numbers(const {name}_belief *belief)
+{{
+    for (int i = 0; i < {n}; i++) {{
+        if (!isfinite(belief->mean[i]))
+            return 0;
+        for (int j = 0; j < {n}; j++)
+            if (!isfinite(belief->deviations[i][j]))
+                return 0;
+    }}
+    return 1;
+}}
+
+int {name}_step({name}_belief *belief, const REAL z[{m}], const unsigned char present[{m}],
+                REAL dt{argument}, {name}_result *result)
+{{
+    {name}_belief after;
+    {name}_result made;
+    (void)dt;
+{step}
+    if (!finite_numbers(&after))
+        return 1;
+    *belief = after;
+    if (result != NULL)
+        *result = made;
+    return 0;
+}}
+"""
+
+GOLDEN = """\
+/* What the filter in Python makes of {rows} rows. Generated; do not edit. */
+#define ROWS {rows}
+#define N {n}
+#define M {m}
+/* Of float: twenty times the deviation of the Python filter's own run in float; of double: as
+   many roundings, at least 1e-12. */
+#define TOLERANCE_FLOAT {single}
+#define TOLERANCE_DOUBLE {double}
+{arrays}
+"""
+
+TEST = """\
+/* Self-test of {name}.c: the largest deviation of mean and covariance from the golden ones,
+   relative to their largest entry in the same row. Returns 0 if it is within the tolerance.
+
+   cc -std=c99 -O2 -Wall -Wextra -Werror -pedantic {name}.c {name}_test.c -lm && ./a.out
+   The same with -D{guard}_FLOAT tests the float version. */
+#include <math.h>
+#include <stdio.h>
+
+#include "{name}.h"
+#include "{name}_golden.h"
+
+#ifdef {guard}_FLOAT
+#define TOLERANCE TOLERANCE_FLOAT
+#else
+#define TOLERANCE TOLERANCE_DOUBLE
+#endif
+
+static double apart(const double *found, const double *expected, int count)
+{{
+    double worst = 0.0, scale = 0.0;
+    for (int i = 0; i < count; i++) {{
+        double d = fabs(found[i] - expected[i]);
+        worst = d > worst || d != d ? d : worst;
+        scale = fabs(expected[i]) > scale ? fabs(expected[i]) : scale;
+    }}
+    return worst / scale;
+}}
+
+int main(void)
+{{
+    {name}_belief belief;
+{declare}    {name}_real mean[N], deviations[N][N];
+    double worst = 0.0;
+    for (int i = 0; i < N; i++) {{
+        mean[i] = ({name}_real){name}_golden_mean[i];
+        for (int j = 0; j < N; j++)
+            deviations[i][j] = ({name}_real){name}_golden_deviations[i][j];
+    }}
+    {name}_start(&belief, mean, deviations);
+    for (int k = 0; k < ROWS; k++) {{
+        {name}_real z[M];
+        unsigned char present[M];
+        double found[N], covariance[N * N];
+        for (int i = 0; i < M; i++) {{
+            z[i] = ({name}_real){name}_golden_z[k][i];
+            present[i] = {name}_golden_present[k][i] != 0.0;
+        }}
+{fill}        if ({name}_step(&belief, z, present, ({name}_real){name}_golden_dt[k]{pass}, NULL)) {{
+            printf("{name}: row %d: the belief is not finite\\n", k);
+            return 1;
+        }}
+        for (int i = 0; i < N; i++) {{
+            found[i] = belief.mean[i];
+            for (int j = 0; j < N; j++) {{
+                double sum = 0.0;
+                for (int l = 0; l < N; l++)
+                    sum += (double)belief.deviations[i][l] * belief.deviations[j][l];
+                covariance[i * N + j] = sum;
+            }}
+        }}
+        double a = apart(found, {name}_golden_means[k], N);
+        double b = apart(covariance, &{name}_golden_covariances[k][0][0], N * N);
+        worst = a > worst || a != a ? a : worst;
+        worst = b > worst || b != b ? b : worst;
+    }}
+    printf("{name}: largest relative deviation %.3g, tolerance %.3g\\n", worst, TOLERANCE);
+    return !(worst <= TOLERANCE);
+}}
+"""
