@@ -1,6 +1,6 @@
 # make reproduce   everything, from an empty checkout to report/
 # make test        lint, formatting, types, tests
-# make bench       speed against JAX (an extra, installed on demand)
+# make bench       speed, memory and start beside JAX and others (an extra, installed on demand)
 # Each sets up .venv first. QUICK=1 makes reproduce a matter of a minute.
 
 PYTHON ?= python3
@@ -34,7 +34,7 @@ lint: setup
 
 bench: setup
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[bench]'
-	OMP_NUM_THREADS= $(BIN)/python training/bench.py
+	env -u OMP_NUM_THREADS $(BIN)/python -m difffilter bench --out report/bench $(if $(QUICK),--quick)
 
 clean:
 	rm -rf $(VENV) report runs

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,18 +47,6 @@ SYSTEMS = [
     ("urban-credibility-2d", "credibility", {}),
     ("urban-credibility-faulty", "ideal", {}),
 ]  # fmt: skip
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Compiled steps of the tests do not touch the user's cache."""
-    before = os.environ.get("DIFFFILTER_CACHE")
-    os.environ["DIFFFILTER_CACHE"] = str(tmp_path_factory.getbasetemp() / "cache")
-    yield
-    if before is None:
-        del os.environ["DIFFFILTER_CACHE"]
-    else:
-        os.environ["DIFFFILTER_CACHE"] = before
 
 
 def assert_same(system: Filter, log: Log, temperature: float | None = None) -> None:

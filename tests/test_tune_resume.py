@@ -23,7 +23,7 @@ from difffilter.tune.loop import TuneResult, tune
 from difffilter.tune.state import state_path
 
 Run = Callable[..., TuneResult]
-STEPS = {"steps": 7, "evaluate_every": 2, "starts": 2, "patience": 9}
+STEPS = {"steps": 7, "evaluate_every": 2, "starts": 2, "patience": 9, "optimiser": "adam"}
 #: Warm starts are renewed every 3 steps and validated every 2: neither coincide.
 WINDOWED = {"window": 9, "batch": 3, "refresh": 3}
 
@@ -61,7 +61,7 @@ def adaptive(tmp_path: Path) -> Run:
 
 def kill_after(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
     """Ctrl-C in the gradient step after so many."""
-    original, count = Descent._gradient_step, 0
+    original, count = Descent._step, 0
 
     def counted(self: Descent, *args: Any) -> float:
         nonlocal count
@@ -70,7 +70,7 @@ def kill_after(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
             raise KeyboardInterrupt
         return original(self, *args)
 
-    monkeypatch.setattr(Descent, "_gradient_step", counted)
+    monkeypatch.setattr(Descent, "_step", counted)
 
 
 def same(found: TuneResult, expected: TuneResult) -> None:
@@ -139,14 +139,14 @@ import os, sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from pathlib import Path
 from test_tune_resume import Descent, simulated
-count, original = 0, Descent._gradient_step
+count, original = 0, Descent._step
 def step(self, *args):
     global count
     count += 1
     if count == 4:
         os._exit(9)
     return original(self, *args)
-Descent._gradient_step = step
+Descent._step = step
 simulated(None)(out=sys.argv[1])
 """
     out = tmp_path / "x.json"

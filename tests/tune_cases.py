@@ -21,6 +21,7 @@ FEW: dict[str, Any] = {
     "batch": 5,
     "steps": 6,
     "evaluate_every": 2,
+    "optimiser": "adam",
 }
 
 

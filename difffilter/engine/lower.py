@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from torch.fx import GraphModule, Node
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from difffilter.engine.program import Program
 from difffilter.errors import EngineError
 
-__all__ = ["Lowering", "RuleError"]
+__all__ = ["Lowering"]
 
 Array = np.ndarray[Any, Any]
-
-
-class RuleError(EngineError):
-    """An operation that has no rule.
-
-    Attributes:
-        operation: as torch names it.
-    """
-
-    def __init__(self, operation: str) -> None:
-        self.operation = operation
-        super().__init__(f"engine: no rule for {operation}")
+LIBRARY = Path(__file__).resolve().parent.parent
+TORCH = Path(torch.__file__).resolve().parent
 
 
 class Lowering:
-    """Runs a traced graph on arrays of node numbers.
+    """Turns torch operations into expressions, as they are called.
 
     Args:
         program: where the expressions go.
@@ -39,28 +31,32 @@ class Lowering:
     def __init__(self, program: Program) -> None:
         self.program = program
 
-    def run(self, graph: GraphModule, inputs: Sequence[Array]) -> list[Any]:
-        """Outputs of the graph; RuleError names an operation that has no rule."""
-        values: dict[Node, Any] = {}
-        feed = iter(inputs)
-        for node in graph.graph.nodes:
-            if node.op == "placeholder":
-                values[node] = next(feed)
-            elif node.op == "get_attr":
-                values[node] = self.constant(getattr(graph, node.target))
-            elif node.op == "output":
-                return _mapped(node.args[0], values)  # type: ignore[no-any-return]
-            else:
-                arguments = _mapped(node.args, values)
-                options = _mapped(node.kwargs, values)
-                name = str(node.target)
-                name = "getitem" if "getitem" in name else name.partition(".")[2]
-                rule = getattr(self, "op_" + name.split(".")[0].strip("_"), None)
-                if rule is None:
-                    raise RuleError(str(node.target))
-                self.name = name
-                values[node] = rule(*arguments, **options)
-        raise EngineError("engine: found a graph without output")
+    def run(
+        self, function: Callable[..., Sequence[torch.Tensor]], given: Sequence[tuple[Any, Array]]
+    ) -> list[Array]:
+        """Arrays of what a function of tensors returns.
+
+        Args:
+            given: tensors to call it with (shapes are all that counts), and their arrays.
+
+        Raises:
+            EngineError: names an operation that has no rule, and the line that calls it.
+        """
+        # Copies: one tensor in two places would be one input.
+        tensors = [tensor.detach().clone() for tensor, _ in given]
+        calls = _Calls(self)
+        for tensor, (_, array) in zip(tensors, given, strict=True):
+            calls.bind(tensor, array)
+        with torch.no_grad(), calls:
+            found = function(*tensors)
+            return [calls.array(tensor) for tensor in found]
+
+    def rule(self, name: str) -> Callable[..., Any]:
+        """The rule of an operation; EngineError without one."""
+        found = getattr(self, "op_" + name.strip("_"), None)
+        if found is None:
+            raise EngineError(f"engine: no rule for {name}{_caller()}")
+        return found  # type: ignore[no-any-return]
 
     # Making arrays
 
@@ -359,6 +355,7 @@ class Lowering:
 
     op_clone = op_alias
     op_detach = op_alias
+    op_lift_fresh = op_alias
     op_lift_fresh_copy = op_alias
     op_to_copy = op_alias
     op_contiguous = op_alias
@@ -489,11 +486,64 @@ def _array(value: Any) -> Array:
     return np.asarray(value, dtype=object)
 
 
-def _mapped(tree: Any, values: dict[Node, Any]) -> Any:
-    if isinstance(tree, Node):
-        return values[tree]
-    if isinstance(tree, (list, tuple)):
-        return [_mapped(item, values) for item in tree]
-    if isinstance(tree, dict):
-        return {key: _mapped(item, values) for key, item in tree.items()}
-    return tree
+class _Calls(TorchDispatchMode):  # type: ignore[no-untyped-call]
+    """Sees every operation that torch calls, and what is known of its tensors."""
+
+    def __init__(self, lowering: Lowering) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.lowering = lowering
+        # Tensors are kept: the number of one that is gone could be another's.
+        self.known: dict[int, tuple[torch.Tensor, Array]] = {}
+
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        """Nothing is compiled by torch here; to import its compiler takes a second."""
+        return False
+
+    def bind(self, tensor: torch.Tensor, array: Array) -> None:
+        """Note the array of a tensor."""
+        self.known[id(tensor)] = (tensor, array)
+
+    def array(self, tensor: torch.Tensor) -> Array:
+        """The array of a tensor; one that nobody has called for is a constant."""
+        if id(tensor) not in self.known:
+            self.bind(tensor, self.lowering.constant(tensor))
+        return self.known[id(tensor)][1]
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        name = str(func).split(".")[1]
+        rule = self.lowering.rule(name)
+        made = rule(*self._mapped(args), **self._mapped(kwargs or {}))
+        if name.endswith("_") and made is not None:  # in place: views of it change too
+            target = self.array(args[0])
+            if target is not made:
+                target[...] = made
+            made = target
+        result = func(*args, **(kwargs or {}))
+        if isinstance(result, torch.Tensor):
+            self.bind(result, made)
+        elif isinstance(result, (tuple, list)):
+            for tensor, part in zip(result, made, strict=True):
+                if part is not None:
+                    self.bind(tensor, part)
+        return result
+
+    def _mapped(self, tree: Any) -> Any:
+        if isinstance(tree, torch.Tensor):
+            return self.array(tree)
+        if isinstance(tree, (list, tuple)):
+            return [self._mapped(item) for item in tree]
+        if isinstance(tree, dict):
+            return {key: self._mapped(item) for key, item in tree.items()}
+        return tree
+
+
+def _caller() -> str:
+    """File and line of the user's model that calls an operation, else of the library."""
+    frames = [f for f in traceback.extract_stack() if TORCH not in Path(f.filename).parents]
+    own = [f for f in frames if LIBRARY in Path(f.filename).parents]
+    frames = frames[frames.index(own[0]) :] if own else frames
+    models = [f for f in frames if LIBRARY not in Path(f.filename).parents]
+    engine = [f for f in own if Path(f.filename).parent.name != "engine"]
+    frame = (models or engine or frames)[-1]
+    return f", used at {frame.filename}:{frame.lineno}: {frame.line}"

@@ -9,8 +9,9 @@ from difffilter.engine.program import Program
 
 __all__ = ["Schedule", "active_nodes", "schedule"]
 
-#: Operations in one loop: the compiler takes longer over long blocks than their share.
-SEGMENT = 300
+#: Operations in one loop: the compiler takes longer over long blocks than their share, so that
+#: the largest programs get shorter ones.
+SEGMENT, SHORT, LARGE = 300, 100, 6000
 #: Operations that no compiler turns into vector code; they stand in loops of their own.
 CALLS = {"sin", "cos", "atan2"}
 
@@ -109,10 +110,10 @@ def _ordered(program: Program, live: Sequence[int]) -> list[int]:
 
 def _segments(program: Program, order: Sequence[int]) -> list[list[int]]:
     segments: list[list[int]] = []
-    called = False
+    called, most = False, SHORT if len(order) > LARGE else SEGMENT
     for node in order:
         call = program.nodes[node][0] in CALLS
-        if not segments or call != called or len(segments[-1]) >= SEGMENT:
+        if not segments or call != called or len(segments[-1]) >= most:
             segments.append([])
         segments[-1].append(node)
         called = call

@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.fx.experimental.proxy_tensor import make_fx
 
 from difffilter.belief import Belief, Measurement, Record
-from difffilter.engine.lower import Array, Lowering, RuleError
-from difffilter.engine.origin import origin
+from difffilter.engine.lower import Array, Lowering
 from difffilter.engine.program import Program
-from difffilter.errors import EngineError
 from difffilter.filter import Filter
 from difffilter.log import Rows
 from difffilter.losses import LOSSES, LossContext
@@ -144,27 +141,25 @@ def trace(
     cs = [constants[name].detach().to(dtype) for name in names]
     state = [belief.mean, belief.deviations, *(belief.memory[name] for name in memory)]
     row = [torch.zeros(m, dtype=dtype), torch.ones((), dtype=dtype), *inputs.values()]
-    with torch.no_grad():
-        # Copies: one tensor in two places would be traced as one input.
-        parts = ([x.clone() for x in part] for part in (cs, state, row))
-        graph = make_fx(flat)(*parts)
     program = Program()
     layouts = (
         Layout({name: tuple(c.shape) for name, c in zip(names, cs, strict=True)}),
         Layout(_shapes(("mean", "deviations", *memory), state)),
         Layout(_shapes(("z", "dt", *known), row)),
     )
-    feed = [
+    arrays = [
         array
         for group, layout in zip(("c", "s", "r"), layouts, strict=True)
         for array in layout.inputs(program, group)
     ]
-    try:
-        found = Lowering(program).run(graph, feed)
-    except RuleError as error:
-        where = origin(error.operation, lambda: flat(cs, state, row))
-        name = error.operation.removeprefix("aten.")
-        raise EngineError(f"engine: no rule for {name}{where}") from None
+    tensors = [*cs, *state, *row]
+
+    def once(*given: Tensor) -> list[Tensor]:
+        parts = list(given)
+        first, second = len(cs), len(cs) + len(state)
+        return flat(parts[:first], parts[first:second], parts[second:])
+
+    found = Lowering(program).run(once, list(zip(tensors, arrays, strict=True)))
     new_state, found = found[: len(state)], found[len(state) :]
     record, found = found[: len(Record._fields)], found[len(Record._fields) :]
     output = Layout({name: np.shape(x) for name, x in zip(Record._fields, record, strict=True)})

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-from torch.fx.experimental.proxy_tensor import make_fx
 
 from difffilter.belief import Belief
 from difffilter.checkpoint import Checkpoint
@@ -188,11 +187,11 @@ def _start(filter: Filter, begin: Belief) -> list[str]:
     def memory(mean: Tensor, deviations: Tensor) -> list[Tensor]:
         return list(filter.start(mean, deviations).memory.values())
 
-    with torch.no_grad():
-        graph = make_fx(memory)(begin.mean, begin.deviations)
     program = Program()
     layout = Layout({"mean": tuple(begin.mean.shape), "deviations": tuple(begin.deviations.shape)})
-    found = Lowering(program).run(graph, layout.inputs(program, "s"))
+    tensors = (begin.mean, begin.deviations)
+    given = list(zip(tensors, layout.inputs(program, "s"), strict=True))
+    found = Lowering(program).run(memory, given)
     shapes = Layout({key: tuple(value.shape) for key, value in begin.memory.items()})
     nodes = [int(node) for array in found for node in array.reshape(-1)]
     inputs = names(layout, "belief->")
