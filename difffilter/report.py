@@ -1,14 +1,19 @@
-"""Reports: tables, figures and claims, written as Markdown and JSON by the run that made them."""
+"""Reports: tables, figures and claims, written by the run that made them.
+
+As Markdown, as JSON, and as one HTML page that stands alone.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
+from difffilter import page
 from difffilter.compare import Comparison
 from difffilter.figures.style import save_figure
 from difffilter.files import json_text, write_atomically
@@ -18,7 +23,7 @@ __all__ = ["Report"]
 
 
 class Report:
-    """Collects what an experiment found; :meth:`write` makes report.md and report.json.
+    """Collects what an experiment found; :meth:`write` makes report.md, .json and .html.
 
     Args:
         folder: where the report and its figures go.
@@ -38,7 +43,9 @@ class Report:
         self, folder: str | Path, title: str, settings: Mapping[str, Any] | None = None
     ) -> None:
         self.folder = Path(folder)
+        self.title = title
         self._lines = [f"# {title}", ""]
+        self._body: list[str] = []
         self._data: dict[str, Any] = {
             "title": title,
             "settings": dict(settings or {}),
@@ -53,10 +60,12 @@ class Report:
     def heading(self, text: str) -> None:
         """A section."""
         self._lines += [f"## {text}", ""]
+        self._body.append(f"<h2>{escape(text)}</h2>")
 
     def text(self, text: str) -> None:
         """A paragraph."""
         self._lines += [text, ""]
+        self._body.append(page.paragraph(text))
 
     def table(self, name: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
         """A table; numbers are shown with three decimals and kept whole in the JSON."""
@@ -64,17 +73,22 @@ class Report:
         self._lines.append("|" + "---|" * len(head))
         self._lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
         self._lines.append("")
+        self._body.append(page.table(head, [[_cell(value) for value in row] for row in rows]))
         self._data["tables"][name] = [dict(zip(head, row, strict=True)) for row in rows]
 
     def comparison(self, name: str, comparison: Comparison) -> None:
         """A comparison's table; the JSON keeps every field of its rows."""
-        self._lines += [comparison.markdown(), ""]
+        shown = comparison.markdown()
+        self._lines += [shown, ""]
+        head, _, *rows = ([c.strip() for c in line.split("|")[1:-1]] for line in shown.splitlines())
+        self._body.append(page.table(head, rows))
         self._data["comparisons"][name] = comparison.as_dict()
 
     def figure(self, figure: Figure, name: str, caption: str) -> None:
         """A figure, written at once as PNG and SVG."""
         save_figure(figure, self.folder / name)
         self._lines += [f"![{caption}]({name}.png)", "", f"*{caption}* ([SVG]({name}.svg))", ""]
+        self._body.append(page.figure(self.folder / name, caption))
         self._data["figures"].append({"name": name, "caption": caption})
 
     def claim(self, text: str, held: bool, numbers: Mapping[str, Any]) -> None:
@@ -82,18 +96,27 @@ class Report:
         self._data["claims"].append({"claim": text, "held": held, "numbers": dict(numbers)})
 
     def write(self) -> Path:
-        """Write both files; claims stand in a table at the end."""
-        if self._data["claims"]:
-            claims = self._data["claims"]
+        """Write the files; claims stand in a table at the end."""
+        claims = self._data["claims"]
+        if claims:
             self.heading("Claims checked by this run")
+            rows = [
+                [
+                    entry["claim"],
+                    "yes" if entry["held"] else "no",
+                    ", ".join(f"{k}: {_cell(v)}" for k, v in entry["numbers"].items()),
+                ]
+                for entry in claims
+            ]
             self._lines += ["| claim | held | numbers |", "|---|---|---|"]
-            for entry in claims:
-                numbers = ", ".join(f"{k}: {_cell(v)}" for k, v in entry["numbers"].items())
-                held = "yes" if entry["held"] else "**no**"
-                self._lines.append(f"| {entry['claim']} | {held} | {numbers} |")
+            for claim, held, numbers in rows:
+                shown = held if held == "yes" else f"**{held}**"
+                self._lines.append(f"| {claim} | {shown} | {numbers} |")
             self._lines.append("")
+            self._body.append(page.table(["claim", "held", "numbers"], rows))
         path = self.folder / "report.md"
         write_atomically(path, "\n".join(self._lines))
+        write_atomically(self.folder / "report.html", page.page(self.title, self._body))
         write_atomically(self.folder / "report.json", json_text(self._data) + "\n")
         return path
 

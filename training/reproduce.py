@@ -19,6 +19,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from difffilter import page
+from difffilter.files import write_atomically
+
 HERE = Path(__file__).resolve().parent
 EXPERIMENTS = {
     "airport-mlat": "airport_mlat.py",
@@ -106,7 +109,22 @@ def write_index(folder: Path) -> Path:
         lines += [f"  - not held: {c['claim']}" for c in claims if not c["held"]]
     index = folder / "README.md"
     index.write_text("\n".join(lines) + "\n")
+    write_page(folder)
     return index
+
+
+def write_page(folder: Path) -> None:
+    """All reports in one HTML page that stands alone."""
+    links, bodies = [], []
+    for name in EXPERIMENTS:
+        path = folder / name / "report.html"
+        if path.is_file():
+            whole = path.read_text(encoding="utf-8")
+            links.append(f'<a href="#{name}">{name}</a>')
+            bodies.append(f'<h1 id="{name}">{name}</h1>')
+            bodies.append(whole.partition(page.START)[2].partition(page.END)[0])
+    body = [f"<nav>{' '.join(links)}</nav>", *bodies]
+    write_atomically(folder / "index.html", page.page("Published against tuned", body))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,94 @@
+"""One HTML page that stands alone: text, tables and figures, for screen, phone and paper."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+
+__all__ = ["END", "START", "figure", "page", "paragraph", "table"]
+
+#: Between these stands the body, for pages made of several.
+START, END = "<!-- body -->", "<!-- end of body -->"
+#: Bytes of an SVG from which its PNG is shown: thousands of points draw slowly.
+HEAVY = 300_000
+
+_STYLE = """\
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 60rem;
+       margin: 0 auto; padding: 1rem; }
+h1 { font-size: 1.7rem; } h2 { font-size: 1.25rem; margin-top: 2.2rem; }
+.wide { overflow-x: auto; margin: 1rem 0; }
+table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums; }
+th, td { padding: 0.25rem 0.6rem; border-bottom: 1px solid #ddd; text-align: left;
+         vertical-align: top; }
+th { border-bottom: 2px solid #888; }
+figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
+figcaption { font-size: 0.85rem; color: #444; }
+.held { color: #00694c; font-weight: 600; } .missed { color: #a33c00; font-weight: 600; }
+nav a { display: inline-block; margin-right: 1rem; }
+@media print { .wide { overflow: visible; } h2 { break-after: avoid; }
+               figure, tr { break-inside: avoid; } }
+"""
+
+
+def page(title: str, body: Sequence[str]) -> str:
+    """The whole page."""
+    inside = "\n".join(body)
+    return f"""\
+<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+<title>{escape(title)}</title>
+<style>
+{_STYLE}</style>
+</head>
+<body>
+<h1>{escape(title)}</h1>
+{START}
+{inside}
+{END}
+</body>
+</html>
+"""
+
+
+def paragraph(text: str) -> str:
+    """A paragraph; ``**strong**`` and `` `code` `` of the text are kept."""
+    shown = escape(text, quote=False)
+    shown = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", shown)
+    shown = re.sub(r"`(.+?)`", r"<code>\1</code>", shown)
+    return f"<p>{shown}</p>"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table that scrolls by itself where the page is narrow."""
+    cells = "".join(f"<th>{escape(text)}</th>" for text in head)
+    lines = "\n".join(
+        "<tr>" + "".join(f"<td>{_cell(text)}</td>" for text in row) + "</tr>" for row in rows
+    )
+    return (
+        f'<div class="wide"><table>\n<thead><tr>{cells}</tr></thead>\n'
+        f"<tbody>\n{lines}\n</tbody>\n</table></div>"
+    )
+
+
+def figure(path: Path, caption: str) -> str:
+    """A figure written at ``path`` (without suffix), inline."""
+    svg = path.with_suffix(".svg").read_bytes()
+    kind, data = "svg+xml", svg
+    if len(svg) > HEAVY:
+        kind, data = "png", path.with_suffix(".png").read_bytes()
+    source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    shown = escape(caption)
+    return f'<figure><img alt="{shown}" src="{source}"><figcaption>{shown}</figcaption></figure>'
+
+
+def _cell(text: str) -> str:
+    marks = {"yes": '<span class="held">held</span>', "no": '<span class="missed">not held</span>'}
+    return marks.get(text, escape(text, quote=False))
