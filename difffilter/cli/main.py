@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from difffilter.cli import bench, compare, export, run, scenarios, show, simulate, tune
+from difffilter.cli import bench, compare, export, report, run, scenarios, show, simulate, tune
 from difffilter.cli.options import Parser
 from difffilter.errors import DifffilterError
 
@@ -89,6 +89,6 @@ def _parser() -> Parser:
         "--version", action="version", version=f"difffilter {version('difffilter')}"
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for module in (scenarios, show, simulate, tune, compare, run, bench, export):
+    for module in (scenarios, show, simulate, tune, compare, run, report, bench, export):
         module.add(commands)
     return parser

@@ -1,0 +1,67 @@
+"""``difffilter report``: the verdict on checkpoints, as one page."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+
+from difffilter.cli.logs import read_logs
+from difffilter.cli.options import Commands, whole
+from difffilter.errors import InputError
+
+__all__ = ["add"]
+
+EXAMPLE = """\
+examples:
+  difffilter report mine.json --out report
+  difffilter report uwb.json --log los_A2.csv nlos_A2.csv --out report
+
+Writes report.html (one file that stands alone), report.md, report.json and the figures.
+"""
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "report",
+        help="the verdict on tuned values: adopt them or not, and at what risk",
+        description="Published against tuned values on held-out data: what changed, what each "
+        "change is worth, whether the filter is honest, and how it fares beyond its training.",
+        example=EXAMPLE,
+    )
+    parser.add_argument("checkpoint", metavar="CHECKPOINT", nargs="+", help=".json checkpoints")
+    parser.add_argument("--log", metavar="FILE", nargs="+", help="held-out recorded logs")
+    parser.add_argument(
+        "--trajectories", type=whole(2), default=200, help="simulated held-out ones (200)"
+    )
+    parser.add_seed(1, "of the held-out trajectories")
+    parser.add_argument("--out", metavar="FOLDER", default="report", help="folder (report)")
+    parser.add_engine()
+    parser.set_defaults(command=command)
+
+
+def command(args: Namespace) -> int:
+    """Write the report, print the advice."""
+    from difffilter.checkpoint import load
+
+    held = [load(path) for path in args.checkpoint]
+    if Path(args.out).exists() and not Path(args.out).is_dir():
+        raise InputError(f"--out {args.out}: found a file, expected a folder")
+    if args.log and len(held) > 1:
+        raise InputError("--log: found several checkpoints, expected one with recorded logs")
+    for checkpoint in held:
+        if checkpoint.scenario.world is None and not args.log:
+            raise InputError(f"{checkpoint.scenario.name}: has no world, expected --log")
+
+    from difffilter.report import Report
+    from difffilter.verdict_report import verdict
+
+    settings = {"seed": args.seed, "trajectories": args.trajectories}
+    report = Report(args.out, "Verdict: published against tuned", settings)
+    for checkpoint in held:
+        log = read_logs(checkpoint.scenario, args.log)
+        text = verdict(report, checkpoint, args.trajectories, args.seed, log=log,
+                       engine=args.engine)  # fmt: skip
+        print(f"{checkpoint.scenario.name}, {checkpoint.system}: {text}")
+    print(f"report written to {report.write().with_suffix('.html')}")
+    return 0
