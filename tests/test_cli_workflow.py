@@ -114,7 +114,7 @@ def test_tune_on_recorded_logs(place: Path) -> None:
     assert (result["system"], result["checkpoint"]) == ("ekf", "runs/tiny.json")
     assert result["training"]["loss"] == {"likelihood": 1.0}
     assert result["training"]["data"] == ["tiny-7-0000", "tiny-7-0001"]
-    assert set(result["values"]["tdoa.sigma"]) == {"published", "tuned", "unit"}
+    assert set(result["values"]["tdoa.sigma"]) == {"published", "tuned", "unit", "standard_error"}
     stored = json.loads((place / "runs/tiny.json").read_text())
     assert stored["document"]["tuning"]["window"] == 10
 

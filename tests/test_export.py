@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 
 from difffilter.checkpoint import Checkpoint, load
 from difffilter.errors import InputError
@@ -175,3 +176,22 @@ def test_identifiers_and_subscripts() -> None:
     assert identifier("3d tail") == "_3d_tail"
     assert element("x", (2, 3), 5) == "x[1][2]"
     assert element("x", (), 0) == "x"
+
+
+@needs_compiler
+def test_the_program_of_the_documentation_does_what_the_tracker_does(tmp_path: Path) -> None:
+    page = Path(__file__).parent.parent / "docs" / "deployment.md"
+    program = re.search(r"^```text\n(#include.*?)^```$", page.read_text(), re.MULTILINE | re.DOTALL)
+    assert program is not None
+    (tmp_path / "main.c").write_text(program[1])
+    checkpoint = published(str(page.parent / "example.toml"), "robust")
+    export_c(checkpoint, tmp_path, "launch")
+    tracker = checkpoint.tracker([40.0, 60.0, 4.0, 0.0], torch.diag(torch.tensor([4.0, 4, 1, 1])))
+    record = tracker.step([287.1, 369.4, 169.5, None, 42.0, 61.0], dt=0.5)
+    expected = [*tracker.belief.mean[:2].tolist(), float(record.weight[0])]
+    for flags, tolerance in (([], 1e-8), (["-DLAUNCH_FLOAT"], 1e-5)):
+        command = [str(CC), *STRICT, *flags, "launch.c", "main.c", "-o", "main", "-lm"]
+        made = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert made.returncode == 0, made.stderr
+        done = subprocess.run(["./main"], cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert list(map(float, done.stdout.split())) == pytest.approx(expected, rel=tolerance)

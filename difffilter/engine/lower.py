@@ -18,7 +18,7 @@ __all__ = ["Lowering"]
 
 Array = np.ndarray[Any, Any]
 LIBRARY = Path(__file__).resolve().parent.parent
-TORCH = Path(torch.__file__).resolve().parent
+TORCH, PYTHON = Path(torch.__file__).resolve().parent, Path(traceback.__file__).resolve().parent
 
 
 class Lowering:
@@ -51,12 +51,9 @@ class Lowering:
             found = function(*tensors)
             return [calls.array(tensor) for tensor in found]
 
-    def rule(self, name: str) -> Callable[..., Any]:
-        """The rule of an operation; EngineError without one."""
-        found = getattr(self, "op_" + name.strip("_"), None)
-        if found is None:
-            raise EngineError(f"engine: no rule for {name}{_caller()}")
-        return found  # type: ignore[no-any-return]
+    def rule(self, name: str) -> Callable[..., Any] | None:
+        """The rule of an operation, or None."""
+        return getattr(self, "op_" + name.strip("_"), None)
 
     # Making arrays
 
@@ -513,6 +510,16 @@ class _Calls(TorchDispatchMode):  # type: ignore[no-untyped-call]
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         name = str(func).split(".")[1]
         rule = self.lowering.rule(name)
+        if name == "_local_scalar_dense":
+            if self._constant(self.array(args[0])):
+                return func(*args)
+            raise EngineError(f"engine: a branch on a value that is not known before{_caller()}")
+        if rule is None:
+            with self:  # an operation that is made of others
+                parts = func.decompose(*args, **(kwargs or {}))
+            if parts is NotImplemented:
+                raise EngineError(f"engine: no rule for {name}{_caller()}")
+            return parts
         made = rule(*self._mapped(args), **self._mapped(kwargs or {}))
         if name.endswith("_") and made is not None:  # in place: views of it change too
             target = self.array(args[0])
@@ -528,6 +535,10 @@ class _Calls(TorchDispatchMode):  # type: ignore[no-untyped-call]
                     self.bind(tensor, part)
         return result
 
+    def _constant(self, array: Array) -> bool:
+        value = self.lowering.program.value
+        return all(value(int(node)) is not None for node in array.reshape(-1))
+
     def _mapped(self, tree: Any) -> Any:
         if isinstance(tree, torch.Tensor):
             return self.array(tree)
@@ -540,7 +551,9 @@ class _Calls(TorchDispatchMode):  # type: ignore[no-untyped-call]
 
 def _caller() -> str:
     """File and line of the user's model that calls an operation, else of the library."""
-    frames = [f for f in traceback.extract_stack() if TORCH not in Path(f.filename).parents]
+    stack = traceback.extract_stack()
+    frames = [f for f in stack if TORCH not in (others := Path(f.filename).parents)
+              and others[0] != PYTHON]  # fmt: skip
     own = [f for f in frames if LIBRARY in Path(f.filename).parents]
     frames = frames[frames.index(own[0]) :] if own else frames
     models = [f for f in frames if LIBRARY not in Path(f.filename).parents]

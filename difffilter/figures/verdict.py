@@ -64,7 +64,11 @@ def stress_figure(found: Sequence[Stressed]) -> Figure:
             ("tuned", [x.tuned for x in here]),
         ):
             ax.plot(levels, error, marker="o", label=label, color=COLOURS[label])
-        ax.set_yscale("log")
+        errors = [error for x in here for error in (x.published, x.tuned)]
+        if max(errors) > 20.0 * min(errors):
+            ax.set_yscale("log")
+        else:
+            ax.set_ylim(bottom=0.0)
         ax.set_xlabel(meaning)
         ax.set_ylabel("position RMSE (m)")
     axes[0].legend(frameon=False)
