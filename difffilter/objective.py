@@ -189,7 +189,7 @@ def objective(
         parts = [LOSSES[name].rows(track, rows, context).flatten(0, -2).sum(0) for name in losses]
         return torch.cat(parts), [len(part) for part in parts]
 
-    total, sizes = with_engine(engine, fused, plain, 4.0 * eager_seconds(log))
+    total, sizes = with_engine(engine, fused, plain, 4.0 * eager_seconds(log, filter.iterations))
     split = torch.split(total if reduce is None else reduce(total), sizes)
     terms = {name: LOSSES[name].value(part) for name, part in zip(losses, split, strict=True)}
     return weighted(losses, terms), terms

@@ -119,7 +119,9 @@ def run(
     differentiable = torch.is_grad_enabled() and any(x.requires_grad for x in given)
     if differentiable and engine == "fused":
         raise InputError("engine fused: found values with gradient, expected none")
-    track = with_engine("torch" if differentiable else engine, fused, plain, eager_seconds(log))
+    track = with_engine(
+        "torch" if differentiable else engine, fused, plain, eager_seconds(log, filter.iterations)
+    )
     check_finite(track)
     return track
 

@@ -15,15 +15,19 @@ __all__ = ["ENGINES", "eager_seconds", "pick", "with_engine"]
 
 ENGINES = ("auto", "torch", "fused")
 #: s of torch's time from which ``auto`` compiles.
-ENOUGH = 1.0
+ENOUGH = 0.5
 
 Result = TypeVar("Result")
 _told: set[str] = set()
 
 
-def eager_seconds(log: Rows) -> float:
-    """About what torch takes to run a log, s: a formula, so that the choice is always the same."""
-    return log.steps * (1e-3 + 3e-6 * log.trajectories)
+def eager_seconds(log: Rows, iterations: int = 0) -> float:
+    """About what torch takes to run a log, s: a formula, so that the choice is always the same.
+
+    Args:
+        iterations: of the filter's reweighting.
+    """
+    return log.steps * (1e-3 + 3e-6 * log.trajectories) * (1 + iterations)
 
 
 def pick(engine: str, seconds: float) -> str:

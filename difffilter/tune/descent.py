@@ -266,7 +266,12 @@ class Descent:
     def _pick(self, engine: str) -> str:
         """The engine for all of this run: ``auto`` tries the compiled one on one trajectory."""
         settings = self.settings
-        seconds = 5.0 * settings.starts * settings.steps * eager_seconds(self.check)
+        seconds = (
+            5.0
+            * settings.starts
+            * settings.steps
+            * eager_seconds(self.check, self.filter.iterations)
+        )
         chosen = pick(engine, seconds)
         if chosen != "auto":
             return chosen
