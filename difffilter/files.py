@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 
 from difffilter.errors import InputError
 
-__all__ = ["data_folder", "json_text", "write_atomically"]
+__all__ = ["data_folder", "json_text", "write_atomically", "write_together"]
 
 
 def write_atomically(path: str | Path, content: str | bytes | Callable[[BinaryIO], None]) -> None:
@@ -47,6 +47,30 @@ def write_atomically(path: str | Path, content: str | bytes | Callable[[BinaryIO
     except BaseException:
         Path(name).unlink(missing_ok=True)
         raise
+
+
+def write_together(folder: str | Path, files: Mapping[str, str]) -> None:
+    """Write texts into a folder, all or none: beside their places first, then moved there.
+
+    Args:
+        folder: made if missing; files: text (UTF-8) by name.
+
+    Raises:
+        InputError: a place that cannot be written.
+    """
+    folder = Path(folder)
+    for name in files:
+        if (folder / name).is_dir():
+            raise InputError(f"{folder / name}: found a folder, expected a file")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".") as aside:
+            for name, text in files.items():
+                write_atomically(Path(aside) / name, text)
+            for name in files:
+                os.replace(Path(aside) / name, folder / name)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 def data_folder(name: str) -> Path:

@@ -16,7 +16,11 @@ from cli_helpers import TINY, environment, process, strict_json, succeeds
 import difffilter
 from difffilter.cli.main import main
 
-COMMANDS = ["scenarios", "show", "simulate", "tune", "compare", "run"]
+COMMANDS = [
+    "scenarios", "show", "simulate", "tune", "compare", "run", "report", "export", "bench"
+]  # fmt: skip
+#: What these write are files alone.
+WITHOUT_JSON = {"report", "export"}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -25,7 +29,7 @@ def test_help_has_an_example(capsys: Any, command: str) -> None:
     text = capsys.readouterr().out
     assert text.startswith(f"usage: difffilter {command}")
     assert f"  difffilter {command}" in text.split("example")[1]
-    assert "--json" in text
+    assert ("--json" in text) == (command not in WITHOUT_JSON)
 
 
 def test_help_and_version_in_a_process() -> None:

@@ -9,6 +9,7 @@ import pkgutil
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -17,10 +18,12 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
+import torch
 from cli_helpers import process
 
 import difffilter
 from difffilter import (
+    Checkpoint,
     CoordinatedTurn,
     InnovationMatching,
     PredictionCorrection,
@@ -36,13 +39,15 @@ from difffilter import (
 from difffilter.belief import Record
 from difffilter.compare import compare
 from difffilter.credibility import Credibility
+from difffilter.engine.build import compiler
+from difffilter.export.c99 import export_c
 from difffilter.filter import RULES, STANDARDISATIONS
 from difffilter.losses import LOSSES
 from difffilter.scenario import faults, scenario, sensing, systems, table
 from difffilter.scenario.scenario import load_scenario
 from difffilter.simulate import simulate
 from difffilter.tune.loop import tune
-from difffilter.tune.settings import TuneSettings
+from difffilter.tune.settings import OPTIMISERS, TuneSettings
 from difffilter.weights import WEIGHTS
 
 ROOT = Path(__file__).parent.parent
@@ -209,6 +214,23 @@ def test_the_example_loads_simulates_and_tunes() -> None:
     assert {row.system for row in compare(example, trajectories=2).rows} == set(example.systems)
 
 
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_the_c_example_runs_as_the_tracker(tmp_path: Path) -> None:
+    (program,) = [b.text for b in blocks(DOCS / "deployment.md") if "#include" in b.text]
+    (tmp_path / "example.c").write_text(program, encoding="utf-8")
+    example = load_scenario(EXAMPLE)
+    frozen = Checkpoint(example, "robust", example.system("robust").published())
+    export_c(frozen, tmp_path, "launch")
+    command = [str(compiler()), "-std=c99", "-Wall", "-Werror", "-pedantic", "example.c"]
+    subprocess.run([*command, "launch.c", "-lm"], cwd=tmp_path, check=True)
+    done = subprocess.run(["./a.out"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    start = torch.diag(torch.tensor([4.0, 4.0, 1.0, 1.0]))
+    tracker = frozen.tracker([40.0, 60.0, 4.0, 0.0], start)
+    record = tracker.step([287.1, 369.4, 169.5, None, 42.0, 61.0], dt=0.5)
+    expected = [*tracker.belief.mean[:2].tolist(), float(record.weight[0])]
+    assert [float(word) for word in done.stdout.split()] == pytest.approx(expected, rel=1e-8)
+
+
 # Links and names
 
 
@@ -361,7 +383,7 @@ def test_every_choice_is_documented() -> None:
         *STANDARDISATIONS, *RULES, *systems.MODELS, *systems.FUSIONS, *systems.ESTIMATORS,
         *systems.ADAPTATIONS, *(unit for units in table.MEASURES.values() for unit in units),
         *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *scenario.STARTS, *metrics.SCORES,
-        "constant", "uniform", "normal", "sigma",
+        *OPTIMISERS, "constant", "uniform", "normal", "sigma",
     )  # fmt: skip
     for choice in choices:
         assert re.search(rf'`"?{re.escape(choice)}"?`', text), choice

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from argparse import Namespace
 
 from difffilter.cli.options import Commands
@@ -15,7 +16,7 @@ examples:
   cd filter && cc -std=c99 -O2 airport_mlat.c airport_mlat_test.c -lm && ./a.out
 
 Files: NAME.h, NAME.c, golden vectors and a self-test. No heap, no library but libm; compile
-with -DNAME_FLOAT for float.
+with -DNAME_FLOAT for float (exported with --float: -DNAME_DOUBLE for double).
 """
 
 
@@ -31,17 +32,20 @@ def add(commands: Commands) -> None:
     parser.add_argument("--to", choices=("c",), required=True, help="language")
     parser.add_argument("--out", metavar="DIR", required=True, help="folder to write into")
     parser.add_argument("--name", metavar="NAME", help="of the files (the scenario's)")
+    parser.add_argument(
+        "--float", dest="single", action="store_true", help="compile in float by default"
+    )
     parser.set_defaults(command=command)
 
 
 def command(args: Namespace) -> int:
     """Write the files and name them."""
-    if args.name is not None and not args.name.isidentifier():
-        raise InputError(f"--name: found {args.name!r}, expected letters, digits and _")
+    if args.name is not None and not re.fullmatch(r"[A-Za-z]\w*", args.name, re.ASCII):
+        raise InputError(f"--name: found {args.name!r}, expected ASCII letters, digits, _")
 
     from difffilter.checkpoint import load
     from difffilter.export.c99 import export_c
 
-    for path in export_c(load(args.checkpoint), args.out, args.name):
+    for path in export_c(load(args.checkpoint), args.out, args.name, args.single):
         print(path)
     return 0

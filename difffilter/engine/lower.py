@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -157,6 +158,12 @@ class Lowering:
         scaled = self.map("mul", x, beta)
         soft = self.map("div", self.map("log1p", self.map("exp", scaled)), beta)
         return self.map("select", self.map("gt", scaled, threshold), x, soft)
+
+    def op_sinc(self, x: Any) -> Array:
+        angle = self.map("mul", x, math.pi)
+        zero = self.map("eq", x, 0.0)
+        ratio = self.map("div", self.map("sin", angle), self.map("select", zero, 1.0, angle))
+        return self.map("select", zero, 1.0, ratio)
 
     def op_sign(self, x: Any) -> Array:
         return self.map("sub", self.map("gt", x, 0.0), self.map("lt", x, 0.0))

@@ -16,32 +16,46 @@ from difffilter.engine.program import Program
 from difffilter.engine.trace import Layout, Traced, trace
 from difffilter.errors import InputError
 from difffilter.export.golden import Golden, golden
-from difffilter.export.program import identifier, names, places, statements
+from difffilter.export.program import (
+    element,
+    identifier,
+    identifiers,
+    literal,
+    names,
+    places,
+    statements,
+)
 from difffilter.export.templates import GOLDEN, HEADER, SOURCE, TEST
-from difffilter.files import write_atomically
+from difffilter.export.words import about, array, comment, frozen_names, frozen_values
+from difffilter.files import write_together
 from difffilter.filter import Filter
 from difffilter.parameters import Values
 from difffilter.station_sensor import StationSensor
 
-__all__ = ["export_c", "frozen_values"]
+__all__ = ["export_c"]
 
 RESULTS = ("innovation", "standardised", "weight", "gate")
 
 
-def export_c(checkpoint: Checkpoint, folder: str | Path, name: str | None = None) -> list[Path]:
+def export_c(
+    checkpoint: Checkpoint, folder: str | Path, name: str | None = None, single: bool = False
+) -> list[Path]:
     """Write the frozen filter as C99; the paths written.
 
     ``<name>.h`` and ``<name>.c``: the belief, its start, one step; no heap, no library but
-    libm, no state of their own. ``-D<NAME>_FLOAT`` compiles them in float.
-    ``<name>_golden.h`` and ``<name>_test.c``: a self-test against the torch filter.
+    libm, no state of their own. ``<name>_golden.h`` and ``<name>_test.c``: a self-test against
+    the torch filter.
 
     Args:
         folder: made if missing; name: of the files and the prefix of every symbol; the
             scenario's if None.
+        single: whether it compiles in float by default, and with ``-D<NAME>_DOUBLE`` in
+            double; else in double, and with ``-D<NAME>_FLOAT`` in float.
 
     Raises:
         InputError: a filter that is told what no sensor tells (clairvoyant, ideal), a place
-            that cannot be written; EngineError: an operation without a rule.
+            that cannot be written (nothing is written then); EngineError: an operation
+            without a rule.
     """
     filter, folder = checkpoint.published_filter, Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -52,64 +66,89 @@ def export_c(checkpoint: Checkpoint, folder: str | Path, name: str | None = None
         )
     name = identifier(name or checkpoint.scenario.name)
     constants = filter.prepare(checkpoint.values, checkpoint.temperature)
-    known = _inputs(filter)
     zero = torch.zeros((), dtype=torch.float64)
     n = len(filter.states)
     begin = filter.start(torch.zeros(n).double(), torch.eye(n, dtype=torch.float64))
+    known = _inputs(checkpoint, filter, constants, begin)
     step = trace(filter, constants, begin, dict.fromkeys(known, zero))
     vectors = golden(checkpoint, known)
-    words = {"name": name, "guard": name.upper(), "n": n, "m": len(filter.channels)}
+    words = {
+        "name": name,
+        "guard": name.upper(),
+        "n": n,
+        "m": len(filter.channels),
+        "other": "DOUBLE" if single else "FLOAT",
+        "other_word": "double" if single else "float",
+    }
+    header = _header(checkpoint, filter, step, known, name, single)
     files = {
-        f"{name}.h": HEADER.format(**words, **_header(checkpoint, filter, step, known, name)),
+        f"{name}.h": HEADER.format(**words, **header),
         f"{name}.c": SOURCE.format(**words, **_source(filter, constants, step, begin, name)),
         f"{name}_golden.h": GOLDEN.format(**words, **_golden(vectors, known, name)),
         f"{name}_test.c": TEST.format(**words, **_test(known, name)),
     }
-    for file, content in files.items():
-        write_atomically(folder / file, content)
+    write_together(folder, files)
     return [folder / file for file in files]
 
 
-def _inputs(filter: Filter) -> tuple[str, ...]:
-    """Known inputs that a step reads: the positions of platforms."""
-    found = [
+def _inputs(
+    checkpoint: Checkpoint, filter: Filter, constants: Values, begin: Belief
+) -> tuple[str, ...]:
+    """Known inputs that a step reads: positions of platforms, columns that the scenario names."""
+    platforms = [
         name for sensor in filter.sensors if isinstance(sensor, StationSensor)
         for name in sensor.platform
     ]  # fmt: skip
-    return tuple(dict.fromkeys(found))
+    possible = tuple(dict.fromkeys((*platforms, *checkpoint.scenario.inputs)))
+    zero = torch.zeros((), dtype=torch.float64)
+    step = trace(filter, constants, begin, dict.fromkeys(possible, zero))
+    read = _read(step, "r")
+    at, found = 0, []
+    for key, shape in step.row.shapes.items():
+        count = step.row.count(shape)
+        if key in possible and read & set(range(at, at + count)):
+            found.append(key)
+        at += count
+    return tuple(found)
 
 
-def frozen_values(checkpoint: Checkpoint, name: str) -> list[str]:
-    """A definition of each frozen value, with its unit and source."""
-    lines = []
-    for key, parameter in checkpoint.published_filter.declarations.items():
-        flat = checkpoint.values[key].reshape(-1).tolist()
-        source = f"; {parameter.source}" if parameter.source and not parameter.tuned else ""
-        for entry, value in zip(parameter.entries(), flat, strict=True):
-            unit = parameter.unit if parameter.unit != "1" else "no unit"
-            text = f"/* {unit}{', tuned' if parameter.tuned else ''}{_comment(source)} */"
-            lines.append(f"#define {_macro(name, entry)} {value!r} {text}")
-    return lines
+def _read(step: Traced, group: str) -> set[int]:
+    """Places of a group of inputs that belief and record need."""
+    live = step.program.live([*step.next_state, *step.results])
+    nodes = [step.program.nodes[node] for node in live]
+    return {int(str(n[2])) for n in nodes if n[0] == "input" and n[1] == group}
 
 
 def _header(
-    checkpoint: Checkpoint, filter: Filter, step: Traced, known: Sequence[str], name: str
+    checkpoint: Checkpoint,
+    filter: Filter,
+    step: Traced,
+    known: Sequence[str],
+    name: str,
+    single: bool,
 ) -> dict[str, str]:
     fields = []
-    for key, shape in step.state.shapes.items():
-        what = {"mean": ", ".join(filter.states), "deviations": "P = X X^T"}.get(key, "memory")
-        dimensions = "".join(f"[{size}]" for size in shape)
-        fields.append(f"    {name}_real {identifier(key)}{dimensions}; /* {what} */")
-    extra = [f"    {name}_real {identifier(x)};" for x in known]
-    inputs = "typedef struct {\n" + "\n".join(extra) + f"\n}} {name}_inputs;\n" if known else ""
-    about = f"{checkpoint.scenario.name}, system {checkpoint.system}"
+    for key, field in identifiers(step.state.shapes).items():
+        what = {"mean": ", ".join(filter.states), "deviations": "P = X X^T"}.get(
+            key, f"memory: {key}"
+        )
+        sizes = "".join(f"[{size}]" for size in step.state.shapes[key])
+        fields.append(f"    {name}_real {field}{sizes}; /* {comment(what)} */")
+    extra = [f"    {name}_real {f};" for f in identifiers(known).values()]
+    inputs = "/* Known inputs of a row. */\ntypedef struct {\n" + "\n".join(extra)
+    guard = name.upper()
+    default = (
+        f"#if !defined({guard}_FLOAT) && !defined({guard}_DOUBLE)\n#define {guard}_FLOAT\n#endif\n"
+    )
     return {
-        "about": _comment(about),
+        "about": comment(f"{checkpoint.scenario.name}, system {checkpoint.system}"),
         "version": version("difffilter"),
-        "channels": ", ".join(filter.channels),
+        "family": about(checkpoint),
+        "default": "float" if single else "double",
+        "switch": default if single else "",
         "constants": "\n".join(frozen_values(checkpoint, name)),
         "fields": "\n".join(fields),
-        "inputs": inputs,
+        "inputs": inputs + f"\n}} {name}_inputs;\n\n" if known else "",
         "argument": _argument(known, name),
     }
 
@@ -117,38 +156,32 @@ def _header(
 def _source(
     filter: Filter, constants: Values, step: Traced, begin: Belief, name: str
 ) -> dict[str, str]:
-    derived, reading = _constants(filter, constants, step, name)
-    rows = names(step.row, "")
-
-    def text(group: str, place: int) -> str:
-        if group == "c":
-            return reading[place]
-        if group == "s":
-            return names(step.state, "belief->")[place]
-        entry = rows[place]
-        if entry.startswith("z["):
-            at = entry[2:-1]
-            return f"z{at}"
-        return entry if entry == "dt" else f"inputs->{entry}"
-
+    derived, numbers = _constants(filter, constants, step, name)
+    known = [key for key in step.row.shapes if key not in ("z", "dt")]
+    fields, state = identifiers(known), identifiers(step.state.shapes)
+    m = len(filter.channels)
+    row = [*(f"z{i}" for i in range(m)), "dt", *(f"inputs->{fields[key]}" for key in known)]
+    reading = {"c": numbers, "s": names(step.state, "belief->", state), "r": row}
     results: dict[str, int] = {}
     at = 0
     for key, shape in step.output.shapes.items():
         count = step.output.count(shape)
         if key in RESULTS:
-            own = Layout({key: shape})
-            results |= places(own, "made.", step.results[at : at + count])
+            nodes = step.results[at : at + count]
+            results |= places(Layout({key: shape}), "made.", nodes, {key: key})
         at += count
-    outputs = places(step.state, "after.", step.next_state) | results
-    body = statements(step.program, outputs, text)
-    m = len(filter.channels)
-    head = [f"    const REAL z{i} = present[{i}] ? z[{i}] : NAN;" for i in range(m)]
-    used = {line for i in range(m) for line in body if f"z{i}" in line}
+    outputs = places(step.state, "after.", step.next_state, state) | results
+    read = _read(step, "r")
+    head = [
+        f"    const REAL z{i} = present[{i}] ? z[{i}] : (REAL)NAN;" for i in range(m) if i in read
+    ]
+    body = statements(step.program, outputs, lambda group, place: reading[group][place])
+    start = _start(filter, begin)
     return {
         "derived": "\n".join(derived),
-        "step": "\n".join([*(head if used else []), *body]),
-        "start": "\n".join(_start(filter, begin)),
-        "argument": _argument(_inputs(filter), name),
+        "step": "\n".join([*head, *body]),
+        "start": "".join(f"{line}\n" for line in start),
+        "argument": _argument(known, name),
     }
 
 
@@ -156,26 +189,19 @@ def _constants(
     filter: Filter, constants: Values, step: Traced, name: str
 ) -> tuple[list[str], list[str]]:
     """Definitions of what follows from the values, and the text of each constant."""
-    wanted = [*step.next_state, *step.results]
-    used = {
-        int(str(rest[1]))
-        for node in step.program.live(wanted)
-        for op, *rest in [step.program.nodes[node]]
-        if op == "input" and rest[0] == "c"
-    }
-    lines, reading = [], []
+    used, frozen = _read(step, "c"), frozen_names(filter, name)
+    own = identifiers(f"d_{key}" for key in step.constants.shapes)
+    lines: list[str] = []
+    reading: list[str] = []
     for key, shape in step.constants.shapes.items():
-        flat = constants[key].detach().reshape(-1).tolist()
-        declared = filter.declarations.get(key)
-        entries = declared.entries() if declared else []
-        for i in range(step.constants.count(shape)):
-            if declared and len(entries) == len(flat):
-                reading.append(f"(REAL){_macro(name, entries[i])}")
-                continue
-            macro = f"D_{identifier(key).upper()}_{i}"
-            if len(reading) in used:
-                lines.append(f"#define {macro} (REAL)({flat[i]!r})")
-            reading.append(macro)
+        count, value = step.constants.count(shape), constants[key].detach()
+        if key in frozen and len(frozen[key]) == count:
+            reading += frozen[key]
+            continue
+        macro = own[f"d_{key}"].upper()
+        if used & set(range(len(reading), len(reading) + count)):
+            lines.append(array("REAL", macro, shape, value, literal))
+        reading += [element(macro, shape, i) for i in range(count)]
     return lines, reading
 
 
@@ -193,16 +219,18 @@ def _start(filter: Filter, begin: Belief) -> list[str]:
     given = list(zip(tensors, layout.inputs(program, "s"), strict=True))
     found = Lowering(program).run(memory, given)
     shapes = Layout({key: tuple(value.shape) for key, value in begin.memory.items()})
-    nodes = [int(node) for array in found for node in array.reshape(-1)]
-    inputs = names(layout, "belief->")
-    return statements(program, places(shapes, "belief->", nodes), lambda _, place: inputs[place])
+    nodes = [int(node) for part in found for node in part.reshape(-1)]
+    known = identifiers(("mean", "deviations", *begin.memory))
+    inputs = names(layout, "belief->", known)
+    outputs = places(shapes, "belief->", nodes, known)
+    return statements(program, outputs, lambda _, place: inputs[place])
 
 
 def _golden(vectors: Golden, known: Sequence[str], name: str) -> dict[str, str]:
     log = vectors.log
     inputs = "\n".join(
-        _array(f"{name}_golden_{identifier(key)}", log.inputs[key].reshape(-1), ("ROWS",))
-        for key in known
+        _numbers(f"{name}_golden_input_{field}", ("ROWS",), log.inputs[key].reshape(-1))
+        for key, field in identifiers(known).items()
     )
     prefix = f"{name}_golden_"
     return {
@@ -211,13 +239,14 @@ def _golden(vectors: Golden, known: Sequence[str], name: str) -> dict[str, str]:
         "single": f"{vectors.tolerance[1]:.1e}",
         "arrays": "\n".join(
             [
-                _array(prefix + "dt", vectors.dt, ("ROWS",)),
-                _array(prefix + "z", log.z.nan_to_num(0.0), ("ROWS", "M")),
-                _array(prefix + "present", log.present.to(torch.float64), ("ROWS", "M")),
-                _array(prefix + "mean", vectors.mean, ("N",)),
-                _array(prefix + "deviations", vectors.deviations, ("N", "N")),
-                _array(prefix + "means", vectors.means, ("ROWS", "N")),
-                _array(prefix + "covariances", vectors.covariances, ("ROWS", "N", "N")),
+                _numbers(prefix + "dt", ("ROWS",), vectors.dt),
+                _numbers(prefix + "z", ("ROWS", "M"), log.z.nan_to_num(0.0)),
+                _numbers(prefix + "present", ("ROWS", "M"), log.present.to(torch.float64)),
+                _numbers(prefix + "mean", ("N",), vectors.mean),
+                _numbers(prefix + "deviations", ("N", "N"), vectors.deviations),
+                _numbers(prefix + "means", ("ROWS", "N"), vectors.means),
+                _numbers(prefix + "covariances", ("ROWS", "N", "N"), vectors.covariances),
+                _numbers(prefix + "weights", ("ROWS", "M"), vectors.weights),
                 *([inputs] if inputs else []),
             ]
         ),
@@ -226,8 +255,8 @@ def _golden(vectors: Golden, known: Sequence[str], name: str) -> dict[str, str]:
 
 def _test(known: Sequence[str], name: str) -> dict[str, str]:
     lines = [
-        f"        inputs.{identifier(key)} = ({name}_real){name}_golden_{identifier(key)}[k];"
-        for key in known
+        f"        inputs.{field} = ({name}_real){name}_golden_input_{field}[k];"
+        for field in identifiers(known).values()
     ]
     return {
         "declare": f"    {name}_inputs inputs;\n" if known else "",
@@ -240,20 +269,5 @@ def _argument(known: Sequence[str], name: str) -> str:
     return f", const {name}_inputs *inputs" if known else ""
 
 
-def _array(name: str, values: Tensor, sizes: Sequence[str]) -> str:
-    dimensions = "".join(f"[{size}]" for size in sizes)
-
-    def braces(x: Tensor) -> str:
-        if x.dim() == 0:
-            return repr(float(x))
-        return "{" + ", ".join(braces(part) for part in x) + "}"
-
-    return f"static const double {name}{dimensions} = {braces(values)};"
-
-
-def _macro(name: str, entry: str) -> str:
-    return f"{name}_{identifier(entry)}".upper()
-
-
-def _comment(text: str) -> str:
-    return text.replace("*/", "* /")
+def _numbers(name: str, sizes: Sequence[str], value: Tensor) -> str:
+    return array("double", name, sizes, value, repr)

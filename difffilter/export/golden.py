@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,15 +14,20 @@ from difffilter.errors import InputError
 from difffilter.estimate import started
 from difffilter.filter import Filter
 from difffilter.log import Log, Start
-from difffilter.run import run
+from difffilter.parameters import Values
+from difffilter.run import Track, run
 from difffilter.seeds import stream
 from difffilter.simulate import simulate
 
 __all__ = ["Golden", "golden"]
 
 ROWS, SEED = 60, 7
-#: Times the deviation of torch's own run in float32, and the least tolerance in float.
-MARGIN, LEAST = 20.0, 1e-5
+#: Times the deviation of torch's own run in float32, scaled to double's roundings and as it is,
+#: and the least tolerance, in double and in float.
+MARGIN, LEAST = (4.0, 20.0), (1e-12, 1e-5)
+FINER = torch.finfo(torch.float64).eps / torch.finfo(torch.float32).eps
+#: A wild value, in sigmas; how often; rows in which all channels are wild, to be refused.
+WILD, OFTEN, BURST = 25.0, 0.04, (36, 42)
 
 
 class Golden(NamedTuple):
@@ -30,8 +36,8 @@ class Golden(NamedTuple):
     Attributes:
         log: one trajectory with missing channels and irregular times.
         dt: (T,); mean (n,) and deviations (n, n): of the start.
-        means: (T, n); covariances: (T, n, n).
-        tolerance: of double and of float, relative to the largest entry.
+        means: (T, n); covariances: (T, n, n); weights: (T, m).
+        tolerance: of double and of float, relative to the largest entry, and for the weights.
     """
 
     log: Log
@@ -40,6 +46,7 @@ class Golden(NamedTuple):
     deviations: Tensor
     means: Tensor
     covariances: Tensor
+    weights: Tensor
     tolerance: tuple[float, float]
 
 
@@ -49,29 +56,63 @@ def golden(checkpoint: Checkpoint, known: tuple[str, ...]) -> Golden:
     Args:
         known: names of the inputs that the step reads.
     """
-    filter = checkpoint.published_filter
-    log = _holed(_rows(checkpoint, filter, known))
+    filter, values = checkpoint.published_filter, checkpoint.values
+    log = _holed(_disturbed(_rows(checkpoint, filter, known), filter, values))
     assert log.start is not None
-    values, temperature = checkpoint.values, checkpoint.temperature
     covariance = log.start.covariance
     if covariance is None:
-        sigma = filter.prepare(values)["start.sigma"].expand(len(filter.states))
-        covariance = torch.diag(sigma.square())
+        covariance = torch.diag(_sigma(filter, values).square())
     begin = replace(log, start=Start(log.start.mean, covariance, log.start.time))
-    track = run(filter, begin, values, temperature=temperature, engine="torch")
-    single = {name: value.float() for name, value in values.items()}
-    rough = run(filter, begin.to(torch.float32), single, temperature=temperature, engine="torch")
-    apart = [
-        (a.double() - b).flatten(1).abs().amax(1) / b.flatten(1).abs().amax(1).clamp_min(1e-300)
-        for a, b in ((rough.mean, track.mean), (rough.covariance, track.covariance))
+
+    def track(log: Log, values: Values) -> Track:
+        return run(filter, log, values, temperature=checkpoint.temperature, engine="torch")
+
+    made = track(begin, values)
+    rough = track(begin.to(torch.float32), {name: value.float() for name, value in values.items()})
+    apart = _apart(rough, made)
+    # Where the rows amplify rounding they do so in both precisions alike.
+    double = max(MARGIN[0] * FINER * apart, LEAST[0])
+    single = max(MARGIN[1] * apart, LEAST[1])
+    factor = torch.linalg.cholesky(covariance) if _regular(covariance) else _root(covariance)
+    return Golden(
+        begin, begin.intervals(log.start.time), log.start.mean, factor,
+        made.mean, made.covariance, _weights(made), (double, single),
+    )  # fmt: skip
+
+
+def _sigma(filter: Filter, values: Values) -> Tensor:
+    """Standard deviation (n,) of each state at the start."""
+    constants = filter.prepare(values)
+    if "start.sigma" not in constants:
+        raise InputError("export: found no covariance of the start, expected start.sigma")
+    return constants["start.sigma"].expand(len(filter.states))
+
+
+def _apart(found: Track, expected: Track) -> float:
+    """What the self-test measures: the largest deviation of mean, covariance and weights."""
+    pairs = ((found.mean, expected.mean), (found.covariance, expected.covariance))
+    parts = [
+        (a.double() - b).flatten(1).abs().amax(1) / b.flatten(1).abs().amax(1) for a, b in pairs
     ]
-    single_tolerance = max(MARGIN * float(torch.cat(apart).max()), LEAST)
-    # Where the start is badly conditioned rounding grows in both precisions alike.
-    finer = torch.finfo(torch.float64).eps / torch.finfo(torch.float32).eps
-    tolerance = max(single_tolerance * finer, 1e-12), single_tolerance
-    factor = torch.linalg.cholesky(covariance + 0.0) if _regular(covariance) else _root(covariance)
-    dt = begin.intervals(log.start.time)
-    return Golden(begin, dt, log.start.mean, factor, track.mean, track.covariance, tolerance)
+    parts.append((_weights(found).double() - _weights(expected)).flatten().abs())
+    return float(torch.cat(parts).max())
+
+
+def _weights(track: Track) -> Tensor:
+    assert track.record is not None
+    return track.record.weight
+
+
+def _disturbed(log: Log, filter: Filter, values: Values) -> Log:
+    """The log with wild values, so that gates, weights and recovery have work."""
+    constants = filter.prepare(values)
+    sigma = torch.cat(
+        [s.noise(constants).total.expand(len(s.channels)) for s in filter.sensors]
+    ).sqrt()
+    generator = stream(SEED, "wild")
+    wild = torch.rand(log.z.shape, generator=generator) < OFTEN
+    wild[BURST[0] : BURST[1]] = True
+    return replace(log, z=log.z + WILD * sigma * wild)
 
 
 def _regular(covariance: Tensor) -> bool:
@@ -88,37 +129,41 @@ def _rows(checkpoint: Checkpoint, filter: Filter, known: tuple[str, ...]) -> Log
     """One trajectory of some rows, with a start."""
     scenario = checkpoint.scenario
     if scenario.world is None:
-        return _walk(filter, checkpoint)
+        return _walk(filter, checkpoint, known)
     log = started(scenario, filter, simulate(scenario, 1, SEED), checkpoint.values)
     assert log.start is not None
     covariance = log.start.covariance
     start = Start(log.start.mean[0], None if covariance is None else covariance[0], log.start.time)
     time = log.time if log.time.dim() == 1 else log.time[:, 0]
-    inputs = {name: log.inputs[name] for name in known}
-    inputs = {n: v[:, 0] if v.dim() > 1 and v.shape[1] == 1 else v for n, v in inputs.items()}
+    ramp = torch.linspace(0.0, 0.1, len(time), dtype=torch.float64)  # of what no world simulates
+    inputs = {name: log.inputs.get(name, ramp) for name in known}
+    inputs = {n: v[:, 0] if v.dim() > 1 else v for n, v in inputs.items()}
     return Log(
         log.channels, time[:ROWS], log.z[:ROWS, 0], inputs={n: v[:ROWS] for n, v in inputs.items()},
         start=start,
     )  # fmt: skip
 
 
-def _walk(filter: Filter, checkpoint: Checkpoint) -> Log:
+def _walk(filter: Filter, checkpoint: Checkpoint, known: Sequence[str]) -> Log:
     """A straight walk of made-up measurements, for a filter of recordings."""
     generator = stream(SEED, "golden")
     constants = filter.prepare(checkpoint.values)
-    n = len(filter.states)
-    state = torch.full((n,), 1.5, dtype=torch.float64)
+    scale = _sigma(filter, checkpoint.values)
+    state = 1.5 * scale
     time = torch.arange(1, ROWS + 1, dtype=torch.float64) * 0.1
+    ramp = torch.linspace(0.0, float(scale.max()), ROWS, dtype=torch.float64)
+    inputs = {name: ramp * (-1.0) ** i for i, name in enumerate(known)}  # across the target's way
     rows = []
-    for _ in range(ROWS):
-        state = filter.motion.transition(state, torch.tensor(0.1).double(), {}, constants)
-        parts = [sensor.predict(state, {}, constants) for sensor in filter.sensors]
+    for k in range(ROWS):
+        row = {name: value[k] for name, value in inputs.items()}
+        state = filter.motion.transition(state, torch.tensor(0.1).double(), row, constants)
+        parts = [sensor.predict(state, row, constants) for sensor in filter.sensors]
         noise = torch.cat([sensor.noise(constants).total.expand_as(p) for sensor, p in
                            zip(filter.sensors, parts, strict=True)])  # fmt: skip
         draw = torch.randn(len(noise), generator=generator, dtype=torch.float64)
         rows.append(torch.cat(parts) + noise.sqrt() * draw)
-    mean = torch.full((n,), 1.0, dtype=torch.float64)
-    return Log(filter.channels, time, torch.stack(rows), start=Start(mean, None, 0.0))
+    z = torch.stack(rows)
+    return Log(filter.channels, time, z, inputs=inputs, start=Start(scale, None, 0.0))
 
 
 def _holed(log: Log) -> Log:

@@ -5,14 +5,16 @@ __all__ = ["GOLDEN", "HEADER", "SOURCE", "TEST"]
 HEADER = """\
 /* {about}: a frozen filter, written by difffilter {version}. Generated; do not edit.
 
+{family}
    Belief: mean and deviations X, covariance P = X X^T. One step predicts over dt seconds and
-   conditions on the channels that are present, in this order:
-   {channels}
-   Define {guard}_FLOAT to compile everything in float. */
+   conditions on the channels that are present. Compiled in {default}; define {guard}_{other} for
+   {other_word}. Not with -ffast-math: what is missing travels as NaN.
+
+   cc -std=c99 -O2 -c {name}.c */
 #ifndef {guard}_H
 #define {guard}_H
 
-#ifdef {guard}_FLOAT
+{switch}#ifdef {guard}_FLOAT
 typedef float {name}_real;
 #else
 typedef double {name}_real;
@@ -37,13 +39,13 @@ typedef struct {{
 
 /* Start a belief; deviations is any factor X of the covariance, for example lower Cholesky. */
 void {name}_start({name}_belief *belief, const {name}_real mean[{n}],
-                  {name}_real deviations[{n}][{n}]);
+        {name}_real deviations[{n}][{n}]);
 
 /* One step. present[i] is 0 where channel i is missing (z[i] is then not read); result may be
-   NULL. Returns 0, or 1 where the new belief is not finite: the belief is then as it was. */
+   NULL. Returns 0, 1 where the new belief is not finite, 2 where dt is not 0 or more; the belief
+   and the result are then as they were. */
 int {name}_step({name}_belief *belief, const {name}_real z[{m}],
-                const unsigned char present[{m}], {name}_real dt{argument},
-                {name}_result *result);
+        const unsigned char present[{m}], {name}_real dt{argument}, {name}_result *result);
 
 #endif
 """
@@ -57,27 +59,38 @@ SOURCE = """\
 #include <stddef.h>
 #include <string.h>
 
+#ifdef __FAST_MATH__
+#error "-ffast-math ignores NaN, which this needs"
+#endif
+
 #ifdef {guard}_FLOAT
 #define REAL float
 #define F(name) name##f
 #define SMALLEST FLT_MIN
+#define LARGEST FLT_MAX
 #define EPSILON FLT_EPSILON
+#define ROOT_SMALLEST 0x1p-63f
+#define TINY(x) FLT_MIN
 #else
 #define REAL double
 #define F(name) name
 #define SMALLEST DBL_MIN
+#define LARGEST DBL_MAX
 #define EPSILON DBL_EPSILON
+#define ROOT_SMALLEST 0x1p-511
+#define TINY(x) x
 #endif
-#define M_SQRT(x) F(sqrt)(x)
-#define M_EXP(x) F(exp)(x)
-#define M_LOG(x) F(log)(x)
-#define M_LOG1P(x) F(log1p)(x)
-#define M_TANH(x) F(tanh)(x)
-#define M_SIN(x) F(sin)(x)
-#define M_COS(x) F(cos)(x)
-#define M_FLOOR(x) F(floor)(x)
-#define M_ATAN2(y, x) F(atan2)(y, x)
-#define M_ABS(x) F(fabs)(x)
+#define ZERO ((REAL)0)
+#define C_SQRT(x) F(sqrt)(x)
+#define C_EXP(x) F(exp)(x)
+#define C_LOG(x) F(log)(x)
+#define C_LOG1P(x) F(log1p)(x)
+#define C_TANH(x) F(tanh)(x)
+#define C_SIN(x) F(sin)(x)
+#define C_COS(x) F(cos)(x)
+#define C_FLOOR(x) F(floor)(x)
+#define C_ATAN2(y, x) F(atan2)(y, x)
+#define C_ABS(x) F(fabs)(x)
 
 /* What follows from the frozen values. */
 {derived}
@@ -86,8 +99,7 @@ void {name}_start({name}_belief *belief, const REAL mean[{n}], REAL deviations[{
 {{
     memcpy(belief->mean, mean, sizeof belief->mean);
     memcpy(belief->deviations, deviations, sizeof belief->deviations);
-{start}
-}}
+{start}}}
 
 static int finite_numbers(const {name}_belief *belief)
 {{
@@ -102,11 +114,12 @@ static int finite_numbers(const {name}_belief *belief)
 }}
 
 int {name}_step({name}_belief *belief, const REAL z[{m}], const unsigned char present[{m}],
-                REAL dt{argument}, {name}_result *result)
+        REAL dt{argument}, {name}_result *result)
 {{
     {name}_belief after;
     {name}_result made;
-    (void)dt;
+    if (!(dt >= ZERO && isfinite(dt)))
+        return 2;
 {step}
     if (!finite_numbers(&after))
         return 1;
@@ -122,8 +135,9 @@ GOLDEN = """\
 #define ROWS {rows}
 #define N {n}
 #define M {m}
-/* Of float: twenty times the deviation of the Python filter's own run in float; of double: as
-   many roundings, at least 1e-12. */
+/* Of mean and covariance, relative to their largest entry in the row, and of the weights. In
+   float: twenty times the deviation of the Python filter's own run in float. In double: 1e-12, or
+   four times that deviation in double's roundings where the rows amplify it beyond. */
 #define TOLERANCE_FLOAT {single}
 #define TOLERANCE_DOUBLE {double}
 {arrays}
@@ -131,10 +145,11 @@ GOLDEN = """\
 
 TEST = """\
 /* Self-test of {name}.c: the largest deviation of mean and covariance from the golden ones,
-   relative to their largest entry in the same row. Returns 0 if it is within the tolerance.
+   relative to their largest entry in the same row, and of the weights. Returns 0 if it is within
+   the tolerance.
 
    cc -std=c99 -O2 -Wall -Wextra -Werror -pedantic {name}.c {name}_test.c -lm && ./a.out
-   The same with -D{guard}_FLOAT tests the float version. */
+   The same with -D{guard}_{other} tests the version in {other_word}. */
 #include <math.h>
 #include <stdio.h>
 
@@ -161,6 +176,7 @@ static double apart(const double *found, const double *expected, int count)
 int main(void)
 {{
     {name}_belief belief;
+    {name}_result result;
 {declare}    {name}_real mean[N], deviations[N][N];
     double worst = 0.0;
     for (int i = 0; i < N; i++) {{
@@ -177,16 +193,17 @@ int main(void)
             z[i] = ({name}_real){name}_golden_z[k][i];
             present[i] = {name}_golden_present[k][i] != 0.0;
         }}
-{fill}        if ({name}_step(&belief, z, present, ({name}_real){name}_golden_dt[k]{pass}, NULL)) {{
+{fill}        if ({name}_step(&belief, z, present, ({name}_real){name}_golden_dt[k]{pass},
+                  &result)) {{
             printf("{name}: row %d: the belief is not finite\\n", k);
             return 1;
         }}
         for (int i = 0; i < N; i++) {{
-            found[i] = belief.mean[i];
+            found[i] = (double)belief.mean[i];
             for (int j = 0; j < N; j++) {{
                 double sum = 0.0;
                 for (int l = 0; l < N; l++)
-                    sum += (double)belief.deviations[i][l] * belief.deviations[j][l];
+                    sum += (double)belief.deviations[i][l] * (double)belief.deviations[j][l];
                 covariance[i * N + j] = sum;
             }}
         }}
@@ -194,6 +211,10 @@ int main(void)
         double b = apart(covariance, &{name}_golden_covariances[k][0][0], N * N);
         worst = a > worst || a != a ? a : worst;
         worst = b > worst || b != b ? b : worst;
+        for (int i = 0; i < M; i++) {{
+            double w = fabs((double)result.weight[i] - {name}_golden_weights[k][i]);
+            worst = w > worst || w != w ? w : worst;
+        }}
     }}
     printf("{name}: largest relative deviation %.3g, tolerance %.3g\\n", worst, TOLERANCE);
     return !(worst <= TOLERANCE);

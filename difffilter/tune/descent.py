@@ -76,7 +76,8 @@ class Descent:
             assert self.check.start is not None
             rows = min(settings.window, log.steps)
             self.data = Windows(self.check, self.check.start, rows, settings.refresh)
-        self.engine = self._pick(engine)
+        # The first process chooses for all: others would take other steps.
+        self.engine = self.ranks.told(self._pick(engine).encode()).decode()
         self.optimiser = chosen(settings, self.engine)
         if isinstance(self.data, Windows):
             self.data.engine = self.engine
@@ -92,7 +93,9 @@ class Descent:
     def fingerprint(self) -> str:
         """Identifies the run for resuming: everything that its result depends on."""
         digest = hashlib.sha256(json.dumps(self.scenario.document, sort_keys=True).encode())
-        digest.update(json.dumps([asdict(self.settings), self.seed], sort_keys=True).encode())
+        digest.update(
+            json.dumps([asdict(self.settings), self.seed, self.optimiser], sort_keys=True).encode()
+        )
         check = self.check
         for part in (check.z, check.time, check.truth, *check.inputs.values()):
             if part is not None:
