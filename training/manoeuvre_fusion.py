@@ -57,8 +57,9 @@ def main() -> None:
     tuned: dict[tuple[str, str], df.Checkpoint] = {}
     for name, scenario in scenarios.items():
         stages.next(f"tuning the fusion and the LCASRCKF, {name}")
-        for system in ("fusion", "lcasrckf"):
-            tuned[name, system] = tune(scenario, system)
+        tuned[name, "fusion"] = tune(scenario, "fusion")
+        # Outliers make its loss nearly flat: noise of batches carries on where Gauss-Newton stops.
+        tuned[name, "lcasrckf"] = tune(scenario, "lcasrckf", optimiser="adam")
         df.save(tuned[name, "fusion"], checkpoint_path(name, options))
     stages.next("tuning one filter on the pooled measurement")
     single = tune(second, "pooled-robust")
