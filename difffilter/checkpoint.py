@@ -82,10 +82,15 @@ class Checkpoint:
         return system
 
     def tracker(
-        self, mean: Tensor | Sequence[float], covariance: Tensor | Sequence[Sequence[float]]
+        self,
+        mean: Tensor | Sequence[float],
+        covariance: Tensor | Sequence[Sequence[float]],
+        engine: str = "auto",
     ) -> Tracker:
         """A streaming tracker that runs the frozen values from this belief."""
-        return Tracker(self.published_filter, mean, covariance, self.values, self.temperature)
+        return Tracker(
+            self.published_filter, mean, covariance, self.values, self.temperature, engine
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """What the JSON file holds."""

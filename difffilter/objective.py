@@ -113,7 +113,7 @@ def _torch_sums(
         track = run(filter, log, given, start, temperature=temperature, engine="torch")
         parts = [LOSSES[name].rows(track, rows, context) for name in names]
         residuals = [
-            loss.residuals(track, rows, context).flatten(1, -2)
+            loss.residuals(track, rows, context).reshape(log.steps, log.trajectories, -1)
             for loss in (LOSSES[name] for name in names)
             if loss.residuals is not None
         ]

@@ -16,7 +16,7 @@ from difffilter.metrics import mean_nees, paired_ratio, position_error, scored_r
 from difffilter.parameters import Values
 from difffilter.run import Track
 
-__all__ = ["Change", "changes"]
+__all__ = ["Change", "changes", "honest"]
 
 
 @dataclass(frozen=True)
@@ -86,10 +86,11 @@ def changes(checkpoint: Checkpoint, log: Log, *, engine: str = "auto") -> list[C
         each = zip(parameter.entries(), before.reshape(-1), after.reshape(-1), strict=True)
         entries = tuple((n, float(b), float(a), errors.get(n)) for n, b, a in each)
         free = ratio[1] <= 1.0 and ratio[0] < 1.01
-        keep = free and (_sound(nees) or not _sound(own))
+        keep = free and (honest(nees) or not honest(own))
         found.append(Change(name, parameter.unit, entries, ratio, nees, keep))
     return found
 
 
-def _sound(nees: float) -> bool:
+def honest(nees: float) -> bool:
+    """Whether errors are about as large as claimed: a NEES per state from 0.5 to 2."""
     return math.isfinite(nees) and 0.5 <= nees <= 2.0

@@ -17,7 +17,7 @@ from difffilter.report import Report
 from difffilter.run import Track
 from difffilter.simulate import simulate
 from difffilter.stress import Stressed, stress
-from difffilter.verdict import Change, changes
+from difffilter.verdict import Change, changes, honest
 
 __all__ = ["advice", "verdict"]
 
@@ -87,12 +87,15 @@ def advice(
     gain = f"RMSE {row.rmse:.3g} m, {row.ratio:.3f} of the published values' ({low:.3f}-{high:.3f})"
     if high >= 1.0:
         first = "Keep the published values. Held out, tuning wins nothing that is sure"
-    elif risks:
+    elif risks or not honest(row.nees_per_state):
         first = "Adopt with care. Held out the tuned values win"
     else:
         first = "Adopt the tuned values. Held out they win"
     parts = [f"{first}: {gain}"]
-    parts.append(f"NEES per state {row.nees_per_state:.2f} (1 is honest)")
+    nees = f"NEES per state {row.nees_per_state:.2f} (1 is honest)"
+    if not honest(row.nees_per_state):
+        nees += ", so that the covariance must not be trusted"
+    parts.append(nees)
     if risks:
         parts.append(f"they are worse than the published ones under {', '.join(risks)}")
     spare = [change.name for change in found if change.keep]

@@ -83,6 +83,19 @@ def test_both_engines_give_the_same_sums_tangents_and_gram(name: str, system: st
     assert_same_sums(summed(filter, log, "fused"), summed(filter, log, "torch"))
 
 
+def test_both_engines_give_the_same_sums_for_a_log_of_one_trajectory() -> None:
+    filter, log = plane(1)
+    assert log.truth is not None
+    assert log.start is not None
+    one = replace(
+        log, z=log.z[:, 0], truth=log.truth[:, 0], start=Start(log.start.mean[0]),
+        time=log.time if log.time.dim() == 1 else log.time[:, 0],
+    )  # fmt: skip
+    alone = summed(filter, one, "fused")
+    assert_same_sums(alone, summed(filter, one, "torch"))
+    assert_same_sums(alone, summed(filter, log, "fused"))
+
+
 def test_both_engines_give_the_same_sums_for_scenes() -> None:
     filter, log = plane(3)
     log = with_reference(filter, log)

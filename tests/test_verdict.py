@@ -81,12 +81,12 @@ def test_the_first_level_of_each_condition_is_the_log_as_it_is() -> None:
     assert noise[-1] > noise[0]
 
 
-def row(values: str, ratio: tuple[float, float, float]) -> Row:
-    return Row("gated", values, 2.0, (1.9, 2.1), 2.0, ratio[0], ratio[1:], 1.1, 1.0, 1.0, {}, {})
+def row(values: str, ratio: tuple[float, float, float], nees: float = 1.1) -> Row:
+    return Row("gated", values, 2.0, (1.9, 2.1), 2.0, ratio[0], ratio[1:], nees, 1.0, 1.0, {}, {})
 
 
-def told(ratio: tuple[float, float, float], worse: float = 1.0) -> str:
-    rows = (row("published", (1.0, 1.0, 1.0)), row("tuned", ratio))
+def told(ratio: tuple[float, float, float], worse: float = 1.0, nees: float = 1.1) -> str:
+    rows = (row("published", (1.0, 1.0, 1.0)), row("tuned", ratio, nees))
     table = Comparison("gate-lockout", 10, 1, "gated published", rows)
     change = Change("gate.threshold", "1", (), (1.0, 0.99, 1.01), 1.0, True)
     under = Stressed("noise", 3.0, 1.0, worse, (1.0, 1.0), (worse, worse - 0.01, worse + 0.01))
@@ -98,6 +98,9 @@ def test_the_advice_follows_from_the_numbers() -> None:
     careful = told((0.9, 0.85, 0.95), worse=1.2)
     assert careful.startswith("Adopt with care.")
     assert "noise 3 (+20 %)" in careful
+    proud = told((0.9, 0.85, 0.95), nees=4.0)
+    assert proud.startswith("Adopt with care.")
+    assert "must not be trusted" in proud
     assert told((0.99, 0.95, 1.02)).startswith("Keep the published values.")
     assert "costs nothing: gate.threshold" in careful
 

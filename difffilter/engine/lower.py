@@ -351,9 +351,6 @@ class Lowering:
     def op_unbind(self, x: Array, dim: int = 0) -> list[Array]:
         return [_array(part) for part in np.moveaxis(x, dim, 0)]
 
-    def op_getitem(self, x: Any, index: Any) -> Any:
-        return _array(x[index]) if isinstance(x, np.ndarray) else x[index]
-
     def op_alias(self, x: Array, *_: Any, **__: Any) -> Array:
         return x
 

@@ -279,7 +279,7 @@ class Descent:
         if chosen != "auto":
             return chosen
         try:
-            one = replace(self.check, inputs=self.check.inputs).select([0])
+            one = self.check.select([0])
             values = ParameterSet(self.filter.declarations).values()
             sum_losses(
                 self.filter, one, values, None, self.settings.loss, self.context,
