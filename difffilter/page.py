@@ -8,12 +8,15 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-__all__ = ["END", "START", "figure", "page", "paragraph", "table"]
+__all__ = ["END", "START", "aside", "figure", "page", "paragraph", "table"]
 
 #: Between these stands the body, for pages made of several.
 START, END = "<!-- body -->", "<!-- end of body -->"
 #: Bytes of an SVG from which its PNG is shown: thousands of points draw slowly.
 HEAVY = 300_000
+
+#: Words that stand out in a table, and their class.
+MARKS = {"held": "held", "not held": "missed", "cannot be checked": "open"}
 
 _STYLE = """\
 :root { color-scheme: light; }
@@ -28,6 +31,9 @@ th { border-bottom: 2px solid #888; }
 figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
 figcaption { font-size: 0.85rem; color: #444; }
 .held { color: #00694c; font-weight: 600; } .missed { color: #a33c00; font-weight: 600; }
+.open { color: #555; font-style: italic; }
+aside { border-left: 3px solid #4477aa; margin: 0.8rem 0 1.6rem; padding: 0.1rem 0.9rem;
+        color: #333; font-size: 0.92rem; background: #f5f7fa; }
 nav a { display: inline-block; margin-right: 1rem; }
 @media print { .wide { overflow: visible; } h2 { break-after: avoid; }
                figure, tr { break-inside: avoid; } }
@@ -56,6 +62,11 @@ def page(title: str, body: Sequence[str]) -> str:
 </body>
 </html>
 """
+
+
+def aside(text: str) -> str:
+    """A paragraph beside the main text; as :func:`paragraph`."""
+    return f"<aside>{paragraph(text)}</aside>"
 
 
 def paragraph(text: str) -> str:
@@ -90,5 +101,5 @@ def figure(path: Path, caption: str) -> str:
 
 
 def _cell(text: str) -> str:
-    marks = {"yes": '<span class="held">held</span>', "no": '<span class="missed">not held</span>'}
-    return marks.get(text, escape(text, quote=False))
+    shown = escape(text, quote=False)
+    return f'<span class="{MARKS[text]}">{shown}</span>' if text in MARKS else shown

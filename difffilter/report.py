@@ -19,7 +19,10 @@ from difffilter.figures.style import save_figure
 from difffilter.files import json_text, write_atomically
 from difffilter.provenance import git_commit, library_versions
 
-__all__ = ["Report"]
+__all__ = ["HELD", "Report"]
+
+#: What is said of a claim.
+HELD: Mapping[bool | None, str] = {True: "held", False: "not held", None: "cannot be checked"}
 
 
 class Report:
@@ -52,6 +55,7 @@ class Report:
             "versions": library_versions(),
             "git_commit": git_commit(),
             "tables": {},
+            "papers": {},
             "comparisons": {},
             "claims": [],
             "figures": [],
@@ -67,14 +71,21 @@ class Report:
         self._lines += [text, ""]
         self._body.append(page.paragraph(text))
 
-    def table(self, name: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-        """A table; numbers are shown with three decimals and kept whole in the JSON."""
+    def table(
+        self, name: str, head: Sequence[str], rows: Sequence[Sequence[Any]], paper: str = ""
+    ) -> None:
+        """A table; numbers are shown with three decimals and kept whole in the JSON.
+
+        Args:
+            paper: what the paper says about the same table, shown beside it.
+        """
         self._lines.append("| " + " | ".join(head) + " |")
         self._lines.append("|" + "---|" * len(head))
         self._lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
         self._lines.append("")
         self._body.append(page.table(head, [[_cell(value) for value in row] for row in rows]))
         self._data["tables"][name] = [dict(zip(head, row, strict=True)) for row in rows]
+        self._paper(name, paper)
 
     def comparison(self, name: str, comparison: Comparison) -> None:
         """A comparison's table; the JSON keeps every field of its rows."""
@@ -84,15 +95,30 @@ class Report:
         self._body.append(page.table(head, rows))
         self._data["comparisons"][name] = comparison.as_dict()
 
-    def figure(self, figure: Figure, name: str, caption: str) -> None:
-        """A figure, written at once as PNG and SVG."""
+    def figure(self, figure: Figure, name: str, caption: str, paper: str = "") -> None:
+        """A figure, written at once as PNG and SVG.
+
+        Args:
+            paper: what the paper says about the same figure, shown beside it.
+        """
         save_figure(figure, self.folder / name)
         self._lines += [f"![{caption}]({name}.png)", "", f"*{caption}* ([SVG]({name}.svg))", ""]
         self._body.append(page.figure(self.folder / name, caption))
         self._data["figures"].append({"name": name, "caption": caption})
+        self._paper(name, paper)
 
-    def claim(self, text: str, held: bool, numbers: Mapping[str, Any]) -> None:
-        """A claim that the run checked, with the numbers that decide it."""
+    def _paper(self, name: str, says: str) -> None:
+        if says:
+            self._lines += [f"> **The paper:** {says}", ""]
+            self._body.append(page.aside(f"**The paper:** {says}"))
+            self._data["papers"][name] = says
+
+    def claim(self, text: str, held: bool | None, numbers: Mapping[str, Any]) -> None:
+        """A claim that the run checked, with the numbers that decide it.
+
+        Args:
+            held: None where the run cannot check it; the numbers then say why.
+        """
         self._data["claims"].append({"claim": text, "held": held, "numbers": dict(numbers)})
 
     def write(self) -> Path:
@@ -103,17 +129,17 @@ class Report:
             rows = [
                 [
                     entry["claim"],
-                    "yes" if entry["held"] else "no",
+                    HELD[entry["held"]],
                     ", ".join(f"{k}: {_cell(v)}" for k, v in entry["numbers"].items()),
                 ]
                 for entry in claims
             ]
-            self._lines += ["| claim | held | numbers |", "|---|---|---|"]
+            self._lines += ["| claim | verdict | numbers |", "|---|---|---|"]
             for claim, held, numbers in rows:
-                shown = held if held == "yes" else f"**{held}**"
+                shown = held if held == HELD[True] else f"**{held}**"
                 self._lines.append(f"| {claim} | {shown} | {numbers} |")
             self._lines.append("")
-            self._body.append(page.table(["claim", "held", "numbers"], rows))
+            self._body.append(page.table(["claim", "verdict", "numbers"], rows))
         path = self.folder / "report.md"
         write_atomically(path, "\n".join(self._lines))
         write_atomically(self.folder / "report.html", page.page(self.title, self._body))

@@ -21,6 +21,7 @@ from tqdm import tqdm
 
 from difffilter import page
 from difffilter.files import write_atomically
+from difffilter.report import HELD
 
 HERE = Path(__file__).resolve().parent
 EXPERIMENTS = {
@@ -104,9 +105,9 @@ def write_index(folder: Path) -> Path:
             lines += [f"- {name}: no report (recordings absent, or the run failed)"]
             continue
         claims = json.loads(path.read_text())["claims"]
-        held = sum(claim["held"] for claim in claims)
+        held = sum(claim["held"] is True for claim in claims)
         lines += [f"- [{name}]({name}/report.md): {held} of {len(claims)} claims held"]
-        lines += [f"  - not held: {c['claim']}" for c in claims if not c["held"]]
+        lines += [f"  - {HELD[c['held']]}: {c['claim']}" for c in claims if not c["held"]]
     index = folder / "README.md"
     index.write_text("\n".join(lines) + "\n")
     write_page(folder)
