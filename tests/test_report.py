@@ -27,7 +27,7 @@ def test_a_claim_that_did_not_hold_is_shown_as_such(tmp_path: Path) -> None:
     report = Report(tmp_path, "title")
     report.claim("smaller", False, {"got": 2.0, "asked": 1.0})
     text = report.write().read_text()
-    assert "| smaller | **no** | got: 2.000, asked: 1.000 |" in text
+    assert "| smaller | **not held** | got: 2.000, asked: 1.000 |" in text
     assert json.loads((tmp_path / "report.json").read_text())["claims"][0]["held"] is False
 
 
