@@ -15,27 +15,36 @@ START, END = "<!-- body -->", "<!-- end of body -->"
 #: Bytes of an SVG from which its PNG is shown: thousands of points draw slowly.
 HEAVY = 300_000
 
+#: A word of a table with this many letters may be broken.
+LONG = 24
 #: Words that stand out in a table, and their class.
 MARKS = {"held": "held", "not held": "missed", "cannot be checked": "open"}
 
 _STYLE = """\
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 60rem;
-       margin: 0 auto; padding: 1rem; }
+       margin: 0 auto; padding: 1rem; overflow-wrap: break-word; }
 h1 { font-size: 1.7rem; } h2 { font-size: 1.25rem; margin-top: 2.2rem; }
 .wide { overflow-x: auto; margin: 1rem 0; }
 table { border-collapse: collapse; font-size: 0.85rem; font-variant-numeric: tabular-nums; }
 th, td { padding: 0.25rem 0.6rem; border-bottom: 1px solid #ddd; text-align: left;
          vertical-align: top; }
 th { border-bottom: 2px solid #888; }
-figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
+.long { overflow-wrap: anywhere; }
+figure { margin: 1.2rem 0; } figure .wide { margin: 0; }
+img { max-width: max(100%, 40rem); height: auto; vertical-align: bottom; }
 figcaption { font-size: 0.85rem; color: #444; }
 .held { color: #00694c; font-weight: 600; } .missed { color: #a33c00; font-weight: 600; }
 .open { color: #555; font-style: italic; }
 aside { border-left: 3px solid #4477aa; margin: 0.8rem 0 1.6rem; padding: 0.1rem 0.9rem;
         color: #333; font-size: 0.92rem; background: #f5f7fa; }
-nav a { display: inline-block; margin-right: 1rem; }
-@media print { .wide { overflow: visible; } h2 { break-after: avoid; }
+nav a { display: inline-block; margin-right: 1rem; padding: 0.4rem 0; }
+@media screen and (max-width: 40rem) { table { width: max-content; }
+                                       th, td { max-width: 14rem; } }
+@page { margin: 1.5cm; }
+@media print { body { max-width: none; padding: 0; } .wide { overflow: visible; }
+               table { font-size: 10px; } th, td { padding: 2px 4px; }
+               img { max-width: 100%; } h1, h2 { break-after: avoid; }
                figure, tr { break-inside: avoid; } }
 """
 
@@ -79,7 +88,7 @@ def paragraph(text: str) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table that scrolls by itself where the page is narrow."""
-    cells = "".join(f"<th>{escape(text)}</th>" for text in head)
+    cells = "".join(f"<th>{_words(text)}</th>" for text in head)
     lines = "\n".join(
         "<tr>" + "".join(f"<td>{_cell(text)}</td>" for text in row) + "</tr>" for row in rows
     )
@@ -97,9 +106,17 @@ def figure(path: Path, caption: str) -> str:
         kind, data = "png", path.with_suffix(".png").read_bytes()
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
     shown = escape(caption)
-    return f'<figure><img alt="{shown}" src="{source}"><figcaption>{shown}</figcaption></figure>'
+    image = f'<div class="wide"><img alt="{shown}" src="{source}"></div>'
+    return f"<figure>{image}<figcaption>{shown}</figcaption></figure>"
 
 
 def _cell(text: str) -> str:
-    shown = escape(text, quote=False)
+    shown = _words(text)
     return f'<span class="{MARKS[text]}">{shown}</span>' if text in MARKS else shown
+
+
+def _words(text: str) -> str:
+    parts = re.split(rf"(\S{{{LONG},}})", text)
+    shown = [escape(part, quote=False) for part in parts]
+    shown[1::2] = [f'<span class="long">{word}</span>' for word in shown[1::2]]
+    return "".join(shown)
