@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -85,6 +86,23 @@ class Record(NamedTuple):
         Raises:
             torch.linalg.LinAlgError: S is not positive definite.
         """
+        nis: Tensor = self._whitened()[0].square().sum(-1)
+        return nis
+
+    @property
+    def log_density(self) -> Tensor:
+        """(...), log N(nu; 0, S) over the present channels; 0 with none.
+
+        Raises:
+            torch.linalg.LinAlgError: S is not positive definite.
+        """
+        white, lower = self._whitened()
+        count = self.present.to(self.noise.dtype).sum(-1)
+        logarithm = lower.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return -0.5 * (white.square().sum(-1) + math.log(2.0 * math.pi) * count) - logarithm
+
+    def _whitened(self) -> tuple[Tensor, Tensor]:
+        """L^-1 nu and L, S = L L^T, over the present channels."""
         mask = self.present.to(self.noise.dtype)
         innovation = mask * self.innovation
         cross = self.observed @ self.observed.mT * mask.unsqueeze(-1) * mask.unsqueeze(-2)
@@ -92,8 +110,7 @@ class Record(NamedTuple):
         covariance = cross + torch.diag_embed(torch.where(self.present, self.noise, 1.0))
         lower = torch.linalg.cholesky(covariance)
         white = torch.linalg.solve_triangular(lower, innovation.unsqueeze(-1), upper=False)
-        nis: Tensor = white.squeeze(-1).square().sum(-1)
-        return nis
+        return white.squeeze(-1), lower
 
 
 def belief(mean: Tensor, covariance: Tensor) -> Belief:

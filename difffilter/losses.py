@@ -100,6 +100,14 @@ def _likelihood_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     return _counted(density, record.present.sum(-1))
 
 
+def _normal_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
+    """Negative log density of the nominal innovations, jointly normal: nothing robust."""
+    record = track.record
+    if record is None:
+        raise InputError("normal-likelihood: expected a filter with records")
+    return _counted(-record.log_density, record.present.sum(-1))
+
+
 def _mean(sums: Tensor) -> Tensor:
     return sums[0] / sums[1].clamp_min(1.0)
 
@@ -173,6 +181,9 @@ LOSSES: Mapping[str, Loss] = {
     ),
     "likelihood": Loss(
         _likelihood_rows, _mean, False, "robust negative log-likelihood of innovations"
+    ),
+    "normal-likelihood": Loss(
+        _normal_rows, _mean, False, "negative log-likelihood of innovations, jointly normal"
     ),
     "consistency": Loss(
         _consistency_rows, _consistency, True, "departure of the mean NEES per state from 1"

@@ -33,6 +33,8 @@ __all__ = [
 
 
 SCORES = ("all", "measured")
+#: Trajectories below which intervals come from blocks of rows.
+FEW = 20
 
 
 @dataclass(frozen=True)
@@ -187,6 +189,9 @@ def bootstrap_interval(
 ) -> tuple[float, float]:
     """95 % interval of the RMSE from resampled trajectories.
 
+    Fewer than ``FEW`` trajectories are cut into equal blocks of rows, at least that many in
+    all, and the blocks resampled: one run would else have no interval at all.
+
     Args:
         squared: (T, B) squared errors; rows: (T, B) which count.
     """
@@ -205,7 +210,8 @@ def paired_ratio(
 ) -> tuple[float, float, float]:
     """RMSE divided by a reference's RMSE on the same rows: value and 95 % interval.
 
-    The same resampled trajectories serve both, so that what they share cancels.
+    The same resampled trajectories (or blocks of few) serve both, so that what they share
+    cancels.
     """
     total, _ = _per_trajectory(squared, rows)
     base, _ = _per_trajectory(reference, rows)
@@ -216,7 +222,16 @@ def paired_ratio(
 
 def _per_trajectory(squared: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
     squared = torch.where(rows, squared, 0.0)
-    return squared.sum(0).reshape(-1), rows.sum(0).reshape(-1)
+    total, count = squared.reshape(len(squared), -1), rows.reshape(len(rows), -1)
+    if total.shape[1] < FEW:
+        blocks = -(-FEW // total.shape[1])
+        length = -(-len(total) // blocks)
+        total, count = (
+            torch.stack([part.sum(0) for part in torch.split(x, length)]) for x in (total, count)
+        )
+        scored = count > 0
+        return total[scored], count[scored]
+    return total.sum(0), count.sum(0)
 
 
 def _quantiles(values: Tensor) -> tuple[float, float]:

@@ -111,6 +111,7 @@ class ConstantVelocity:
                 meaning="process noise: covariance"
                 if full
                 else "process noise: standard deviation",
+                noise=True,
             ),
         )
 
@@ -128,6 +129,7 @@ class ConstantVelocity:
             "m, m/s",
             labels=self.states if shape else (),
             meaning="process noise of the states: standard deviation per step",
+            noise=True,
         )
 
     def prepare(self, values: Values) -> dict[str, Tensor]:

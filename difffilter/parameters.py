@@ -35,6 +35,7 @@ class Parameter:
             the published value (for a positive parameter 0.1 is about 10 %); None for none.
         labels: name of each entry of a vector, for tables and plots.
         meaning: one line for the reader.
+        noise: whether it scales Q or R: what a likelihood or a sample covariance can estimate.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Parameter:
     prior: float | None = None
     labels: tuple[str, ...] = ()
     meaning: str = ""
+    noise: bool = False
 
     def tensor(self, dtype: torch.dtype = torch.float64) -> Tensor:
         """Published value as a tensor."""

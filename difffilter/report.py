@@ -56,15 +56,20 @@ class Report:
             "git_commit": git_commit(),
             "tables": {},
             "papers": {},
+            "verdicts": {},
             "comparisons": {},
             "claims": [],
             "figures": [],
         }
 
-    def heading(self, text: str) -> None:
-        """A section."""
-        self._lines += [f"## {text}", ""]
-        self._body.append(f"<h2>{escape(text)}</h2>")
+    def heading(self, text: str, level: int = 2) -> None:
+        """A section, or at level 3 a part of one."""
+        self._lines += [f"{'#' * level} {text}", ""]
+        self._body.append(f"<h{level}>{escape(text)}</h{level}>")
+
+    def verdict(self, name: str, text: str) -> None:
+        """What an engineer is advised to do about ``name``, for whoever joins reports."""
+        self._data["verdicts"][name] = text
 
     def text(self, text: str) -> None:
         """A paragraph."""

@@ -107,6 +107,7 @@ class NoiseAndBias:
                 f"{self.unit}^2" if full else self.unit,
                 labels=self.channels if len(shape) == 1 else (),
                 meaning="measurement noise: " + ("covariance" if full else "standard deviation"),
+                noise=True,
             ),
             Parameter(
                 f"{self.name}.bias",

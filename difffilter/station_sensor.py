@@ -149,8 +149,9 @@ class TDOA(Range):
             return self.base.parameters
         meaning = "noise of the reference station, common to all differences"
         common = Parameter(
-            f"{self.name}.common_sigma", self.common_sigma, Positive(), "m", meaning=meaning
-        )
+            f"{self.name}.common_sigma", self.common_sigma, Positive(), "m", meaning=meaning,
+            noise=True,
+        )  # fmt: skip
         return (*self.base.parameters, common)
 
     def prepare(self, values: Values) -> dict[str, Tensor]:

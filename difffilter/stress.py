@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from difffilter.estimate import estimate, started
 from difffilter.filter import Filter
+from difffilter.held_out import HeldOut, Outcome
 from difffilter.log import Log, Start
-from difffilter.metrics import mean_nees, paired_ratio, position_error, scored_rows
 from difffilter.parameters import Values
 from difffilter.scenario.scenario import Scenario
 from difffilter.seeds import stream
+from difffilter.truth import measurement_errors
 
-__all__ = ["CONDITIONS", "Stressed", "stress"]
+__all__ = ["CONDITIONS", "Grid", "Stressed", "stress", "stress_grid"]
 
-#: Levels of each condition; the first is the log as it is.
+#: Levels of each condition; the log as it is among them.
 CONDITIONS: Mapping[str, tuple[str, tuple[float, ...]]] = {
-    "noise": ("times the noise", (1.0, 1.5, 2.0, 3.0)),
+    "noise": ("times the noise (below 1: the whole error scaled)", (0.5, 1.0, 1.5, 2.0, 3.0)),
     "outliers": ("share of measurements off by 5 to 20 sigma", (0.0, 0.05, 0.1, 0.2, 0.4)),
     "dropouts": ("share of measurements missing", (0.0, 0.2, 0.4, 0.6)),
     "start": ("sigmas by which each state of the start is off", (0.0, 1.0, 2.0, 3.0)),
@@ -57,7 +57,8 @@ def stress(
 ) -> Iterator[Stressed]:
     """Published and tuned values on a log changed condition by condition.
 
-    Noise and outliers are added in the sigmas of the published values.
+    Noise and outliers are added in the sigmas of the published values. Noise below 1 scales
+    the whole error of every measurement whose truth is known, outliers as well.
 
     Args:
         log: held out, with truth.
@@ -65,20 +66,64 @@ def stress(
     for name, (_, levels) in CONDITIONS.items():
         for level in levels:
             changed = _CHANGE[name](filter, log, level, seed)
-            squared, nees, rows = [], [], []
-            for values in (filter.published(), tuned):
-                ready = started(scenario, filter, changed, values)
-                if name == "start":
-                    ready = _moved(filter, ready, level, seed)
-                with torch.no_grad():
-                    track = estimate(filter, ready, values, temperature=temperature, engine=engine)
-                rows.append(scored_rows(log, track, scenario.score))
-                squared.append(position_error(log, track))
-                nees.append(float(mean_nees(log, track, rows[-1])))
-            both = rows[0] & rows[1]
-            error = [float(x[both].mean().sqrt()) for x in squared]
-            ratio = paired_ratio(squared[1], squared[0], both)
-            yield Stressed(name, level, error[0], error[1], (nees[0], nees[1]), ratio)
+            held = HeldOut(scenario, filter, changed, temperature, engine)
+
+            def start(ready: Log, off: float = level * (name == "start")) -> Log:
+                return _moved(filter, ready, off, seed)
+
+            yield _stressed(name, level, held.outcome(None, start), held.outcome(tuned, start))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Two sets of values over noise (rows) and outliers (columns).
+
+    Attributes:
+        noise, outliers: levels, as in ``CONDITIONS``.
+        published: position RMSE of the published values, m.
+        ratio: tuned / published.
+    """
+
+    noise: tuple[float, ...]
+    outliers: tuple[float, ...]
+    published: tuple[tuple[float, ...], ...]
+    ratio: tuple[tuple[float, ...], ...]
+
+
+def stress_grid(
+    scenario: Scenario,
+    filter: Filter,
+    log: Log,
+    tuned: Values,
+    *,
+    temperature: float | None = None,
+    seed: int = 0,
+    engine: str = "auto",
+) -> Grid:
+    """Published and tuned values under noise and outliers together; as :func:`stress`."""
+    noise, outliers = CONDITIONS["noise"][1], CONDITIONS["outliers"][1]
+    rows = []
+    for level in noise:
+        noisier = _noisier(filter, log, level, seed)
+        for share in outliers:
+            changed = _wilder(filter, noisier, share, seed)
+            held = HeldOut(scenario, filter, changed, temperature, engine)
+            rows.append(_stressed("grid", share, held.outcome(), held.outcome(tuned)))
+    lines = [rows[i : i + len(outliers)] for i in range(0, len(rows), len(outliers))]
+    return Grid(
+        noise,
+        outliers,
+        tuple(tuple(x.published for x in line) for line in lines),
+        tuple(tuple(x.ratio[0] for x in line) for line in lines),
+    )
+
+
+def _stressed(name: str, level: float, published: Outcome, tuned: Outcome) -> Stressed:
+    """Both over the rows that both have."""
+    both = published.rows & tuned.rows
+    error = [float(x.squared[both].mean().sqrt()) for x in (published, tuned)]
+    nees = (published.nees, tuned.nees)
+    return Stressed(name, level, error[0], error[1], nees, tuned.ratio(published))
 
 
 def _sigma(filter: Filter) -> Tensor:
@@ -92,6 +137,9 @@ def _sigma(filter: Filter) -> Tensor:
 
 def _noisier(filter: Filter, log: Log, level: float, seed: int) -> Log:
     log = log.only(filter.channels)
+    if level < 1.0:
+        errors = measurement_errors(filter, log)
+        return replace(log, z=log.z - (1.0 - level) * errors.nan_to_num())
     draw = torch.randn(log.z.shape, generator=stream(seed, "noise"), dtype=log.z.dtype)
     return replace(log, z=log.z + (level**2 - 1.0) ** 0.5 * _sigma(filter) * draw)
 

@@ -6,15 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from difffilter.checkpoint import Checkpoint
-from difffilter.estimate import estimate, started
+from difffilter.held_out import HeldOut
 from difffilter.log import Log
-from difffilter.metrics import mean_nees, paired_ratio, position_error, scored_rows
-from difffilter.parameters import Values
-from difffilter.run import Track
 
 __all__ = ["Change", "changes", "honest"]
 
@@ -61,33 +55,22 @@ def changes(checkpoint: Checkpoint, log: Log, *, engine: str = "auto") -> list[C
     Raises:
         InputError: a log without truth.
     """
-    filter, scenario = checkpoint.published_filter, checkpoint.scenario
+    filter = checkpoint.published_filter
     errors = checkpoint.training.get("standard_errors", {})
-
-    def squared(values: Values) -> tuple[Tensor, Tensor, Track]:
-        ready = started(scenario, filter, log, values)
-        with torch.no_grad():
-            track = estimate(
-                filter, ready, values, temperature=checkpoint.temperature, engine=engine
-            )
-        return position_error(log, track), scored_rows(log, track, scenario.score), track
-
-    tuned, rows, track = squared(checkpoint.values)
-    own = float(mean_nees(log, track, rows))
+    held = HeldOut(checkpoint.scenario, filter, log, checkpoint.temperature, engine)
+    tuned = held.outcome(checkpoint.values)
     found = []
     for name, parameter in filter.declarations.items():
         if not parameter.tuned:
             continue
         before, after = parameter.tensor(), checkpoint.values[name]
-        reverted, others, track = squared({**checkpoint.values, name: before})
-        both = rows & others
-        ratio = paired_ratio(reverted, tuned, both)
-        nees = float(mean_nees(log, track, both))
+        reverted = held.outcome({**checkpoint.values, name: before})
+        ratio = reverted.ratio(tuned)
         each = zip(parameter.entries(), before.reshape(-1), after.reshape(-1), strict=True)
         entries = tuple((n, float(b), float(a), errors.get(n)) for n, b, a in each)
         free = ratio[1] <= 1.0 and ratio[0] < 1.01
-        keep = free and (honest(nees) or not honest(own))
-        found.append(Change(name, parameter.unit, entries, ratio, nees, keep))
+        keep = free and (honest(reverted.nees) or not honest(tuned.nees))
+        found.append(Change(name, parameter.unit, entries, ratio, reverted.nees, keep))
     return found
 
 

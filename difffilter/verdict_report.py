@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
-
 from difffilter.checkpoint import Checkpoint
 from difffilter.compare import Comparison, compare
-from difffilter.estimate import estimate, started
-from difffilter.figures.tracks import track_figure
-from difffilter.figures.verdict import consistency_figure, stress_figure
+from difffilter.figures.verdict import grid_figure, stress_figure
+from difffilter.figures.world import world_figure
+from difffilter.held_out import HeldOut
 from difffilter.log import Log
-from difffilter.metrics import rejected
 from difffilter.report import Report
-from difffilter.run import Track
+from difffilter.scenario.systems import recipes
 from difffilter.simulate import simulate
-from difffilter.stress import Stressed, stress
+from difffilter.stress import Stressed, stress, stress_grid
 from difffilter.verdict import Change, changes, honest
+from difffilter.verdict_contest import write_contest
+from difffilter.verdict_sections import Case, write_changes, write_trust
 
 __all__ = ["advice", "verdict"]
 
@@ -32,6 +31,9 @@ def verdict(
     seed: int = 1,
     *,
     log: Log | None = None,
+    train: Log | None = None,
+    seeds: Sequence[int] = (),
+    progress: bool = False,
     engine: str = "auto",
 ) -> str:
     """Write the sections of one checkpoint into a report; the advice.
@@ -39,6 +41,9 @@ def verdict(
     Args:
         trajectories, seed: of the simulated held-out trajectories.
         log: recorded ones in their place.
+        train: recorded logs that the values were tuned on, for the contest.
+        seeds: of the contest of tuners, one tuning each; none leaves it out.
+        progress: show how far the contest is.
 
     Raises:
         InputError: a scenario of recordings without ``log``; a log without truth.
@@ -46,6 +51,11 @@ def verdict(
     scenario, system = checkpoint.scenario, checkpoint.system
     filter = checkpoint.published_filter
     held_out = simulate(scenario, trajectories, seed, "test") if log is None else log
+    held = HeldOut(scenario, filter, held_out.only(filter.channels), checkpoint.temperature, engine)
+    case = Case(
+        f"{scenario.name}, {system}", scenario.name, checkpoint, held,
+        held.outcome(), held.outcome(checkpoint.values),
+    )  # fmt: skip
     told = [name for name, spec in scenario.systems.items() if spec.clairvoyant and log is None]
     table = compare(
         scenario, {"published": None, "tuned": checkpoint}, trajectories, seed, log=log,
@@ -53,24 +63,21 @@ def verdict(
     )  # fmt: skip
     found = changes(checkpoint, held_out, engine=engine)
     stressed = list(
-        stress(scenario, filter, held_out, checkpoint.values,
+        stress(scenario, filter, held.log, checkpoint.values,
                temperature=checkpoint.temperature, engine=engine)
     )  # fmt: skip
-    tracks = _tracks(checkpoint, held_out, engine)
-
-    name = f"{scenario.name}, {system}"
     text = advice(table, system, found, stressed)
-    report.heading(f"{name}: {text.partition('.')[0]}")
+    report.heading(f"{case.name}: {text.partition('.')[0]}")
+    report.verdict(case.name, text)
     report.text(text)
-    report.text(f"{scenario.title}. {' '.join(scenario.notes)}")
-    slug = scenario.name
-    caption = "The world: one held-out trajectory, tuned values"
-    report.figure(track_figure(held_out, tracks["tuned"], 0, caption), f"{slug}-world", caption)
-    report.heading(f"{name}: published against tuned, held out")
-    report.comparison(f"{slug} held out", table)
-    _changes(report, slug, name, found, checkpoint.training.get("undetermined", ()))
-    _trust(report, slug, name, held_out, tracks)
-    _stress(report, slug, name, stressed)
+    _world(report, case)
+    report.heading("Published against tuned, held out", 3)
+    report.text(_data(case, held_out.trajectories, None if log is not None else seed))
+    report.comparison(f"{case.slug} held out", table)
+    write_changes(report, case, found)
+    write_trust(report, case, seed)
+    _stress(report, case, stressed)
+    write_contest(report, case, train, seeds, progress)
     return text
 
 
@@ -104,86 +111,47 @@ def advice(
     return "; ".join(parts) + "."
 
 
-def _tracks(checkpoint: Checkpoint, log: Log, engine: str) -> dict[str, Track]:
-    filter = checkpoint.published_filter
-    tracks = {}
-    for label, values in (("published", filter.published()), ("tuned", checkpoint.values)):
-        ready = started(checkpoint.scenario, filter, log, values)
-        with torch.no_grad():
-            tracks[label] = estimate(
-                filter, ready, values, temperature=checkpoint.temperature, engine=engine
-            )
-    return tracks
-
-
-def _changes(
-    report: Report, slug: str, name: str, found: Sequence[Change], free: Sequence[str]
-) -> None:
-    report.heading(f"{name}: what changed, and what each change is worth")
-    rows = [
-        [entry, before, after, error, sigmas, change.unit]
-        for change in found
-        for (entry, before, after, error), sigmas in zip(
-            change.entries, change.sigmas(), strict=True
-        )
-    ]  # fmt: skip
-    head = ["value", "published", "tuned", "standard error", "change in standard errors", "unit"]
-    report.table(f"{slug} values", head, rows)
-    report.text(
-        "No standard error: the data do not determine the value. Reverted alone: RMSE with this "
-        "one at its published value, divided by that of the tuned filter; above 1 the change "
-        "is worth something."
+def _world(report: Report, case: Case) -> None:
+    scenario = case.checkpoint.scenario
+    report.text(f"{scenario.title}. {' '.join(scenario.notes)}")
+    shown = min(case.held.log.trajectories, 12)
+    caption = (
+        f"The world: {shown} held-out true path{'s' if shown > 1 else ''}, and the errors of the "
+        "first one's measurements in published sigmas"
     )
-    head = ["reverted alone", "RMSE ratio", "95 % interval", "NEES per state", "costs nothing"]
-    report.table(
-        f"{slug} reverted",
-        head,
-        [
-            [c.name, c.ratio[0], c.ratio[1:], c.nees_per_state, "may stay" if c.keep else ""]
-            for c in found
-        ],
+    figure = world_figure(case.held.filter, case.held.log)
+    report.figure(figure, f"{case.slug}-world", caption)
+    rows = list(recipes(scenario.document["systems"]).items())
+    report.table(f"{case.slug} systems", ["system", "what it is"], rows)
+
+
+def _data(case: Case, count: int, seed: int | None) -> str:
+    which = "recorded" if seed is None else f"simulated, seed {seed}"
+    few = " Intervals come from blocks of rows." if count < 20 else ""
+    return (
+        f"{count} trajector{'y' if count == 1 else 'ies'} that nothing was tuned on ({which}); "
+        f"frozen hard form; paired 95 % intervals.{few}"
     )
-    for line in free:
-        report.text(f"Not determined: {line}.")
 
 
-def _trust(report: Report, slug: str, name: str, log: Log, tracks: dict[str, Track]) -> None:
-    report.heading(f"{name}: is it trustworthy?")
-    caption = "NEES and NIS over time; the band holds the mean of a consistent filter in 95 %"
-    report.figure(consistency_figure(log, tracks), f"{slug}-consistency", caption)
-    rows = [
-        [label, *(100.0 * share for share in rejected(track).values()), _whiteness(track)]
-        for label, track in tracks.items()
-    ]
-    channels = next(iter(tracks.values())).channels
-    head = ["values", *(f"{channel} rejected (%)" for channel in channels),
-            "correlation of successive innovations"]  # fmt: skip
-    report.table(f"{slug} innovations", head, rows)
-
-
-def _whiteness(track: Track) -> float:
-    """Correlation of each channel's normalised innovation with the one before; 0 when white."""
-    assert track.record is not None
-    record = track.record
-    sigma = record.innovation_variance.sqrt()
-    normal = torch.where(record.present, (record.innovation / sigma).clamp(-3.0, 3.0), torch.nan)
-    first, second = normal[:-1], normal[1:]
-    known = torch.isfinite(first) & torch.isfinite(second)
-    a, b = first[known], second[known]
-    return float((a * b).mean() / (a.square().mean() * b.square().mean()).sqrt())
-
-
-def _stress(report: Report, slug: str, name: str, found: Sequence[Stressed]) -> None:
-    report.heading(f"{name}: beyond what it was tuned on")
+def _stress(report: Report, case: Case, found: Sequence[Stressed]) -> None:
+    report.heading("Beyond what it was tuned on", 3)
     caption = "Held-out RMSE under conditions that nobody tuned for"
-    report.figure(stress_figure(found), f"{slug}-stress", caption)
+    report.figure(stress_figure(found), f"{case.slug}-stress", caption)
     head = ["condition", "level", "published (m)", "tuned (m)", "tuned / published",
             "95 % interval", "NEES published", "NEES tuned"]  # fmt: skip
-    report.table(
-        f"{slug} stress",
-        head,
-        [
-            [x.condition, x.level, x.published, x.tuned, x.ratio[0], x.ratio[1:], *x.nees]
-            for x in found
-        ],
+    rows = [
+        [x.condition, f"{x.level:g}", x.published, x.tuned, x.ratio[0], x.ratio[1:], *x.nees]
+        for x in found
+    ]
+    report.table(f"{case.slug} stress", head, rows)
+    held = case.held
+    grid = stress_grid(
+        held.scenario, held.filter, held.log, case.checkpoint.values,
+        temperature=held.temperature, engine=held.engine,
+    )  # fmt: skip
+    caption = (
+        "Noise and outliers together. Colour and numbers: RMSE of tuned by that of published "
+        "values, blue where tuned ones are better; contours: RMSE of the published values"
     )
+    report.figure(grid_figure(grid), f"{case.slug}-grid", caption)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from argparse import Namespace
 from pathlib import Path
 
@@ -14,7 +15,8 @@ __all__ = ["add"]
 EXAMPLE = """\
 examples:
   difffilter report mine.json --out report
-  difffilter report uwb.json --log los_A2.csv nlos_A2.csv --out report
+  difffilter report mine.json --contest 3
+  difffilter report uwb.json --log nlos_A2.csv --train los_A1.csv los_A2.csv --contest 1
 
 Writes report.html (one file that stands alone), report.md, report.json and the figures.
 """
@@ -35,6 +37,15 @@ def add(commands: Commands) -> None:
         "--trajectories", type=whole(2), default=200, help="simulated held-out ones (200)"
     )
     parser.add_seed(1, "of the held-out trajectories")
+    parser.add_argument(
+        "--contest", metavar="N", type=whole(0), default=0,
+        help="tunings of each method (gradient, random, Nelder-Mead, CMA-ES) with the same "
+        "budget, and Q and R alone; 0 leaves them out (0)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--train", metavar="FILE", nargs="+", help="recorded logs tuned on, for the contest"
+    )
+    parser.add_quiet()
     parser.add_argument("--out", metavar="FOLDER", default="report", help="folder (report)")
     parser.add_engine()
     parser.set_defaults(command=command)
@@ -47,8 +58,10 @@ def command(args: Namespace) -> int:
     held = [load(path) for path in args.checkpoint]
     if Path(args.out).exists() and not Path(args.out).is_dir():
         raise InputError(f"--out {args.out}: found a file, expected a folder")
-    if args.log and len(held) > 1:
+    if (args.log or args.train) and len(held) > 1:
         raise InputError("--log: found several checkpoints, expected one with recorded logs")
+    if args.train and not args.log:
+        raise InputError("--train: found no --log beside it, expected recorded logs to judge on")
     for checkpoint in held:
         if checkpoint.scenario.world is None and not args.log:
             raise InputError(f"{checkpoint.scenario.name}: has no world, expected --log")
@@ -60,8 +73,11 @@ def command(args: Namespace) -> int:
     report = Report(args.out, "Verdict: published against tuned", settings)
     for checkpoint in held:
         log = read_logs(checkpoint.scenario, args.log)
-        text = verdict(report, checkpoint, args.trajectories, args.seed, log=log,
-                       engine=args.engine)  # fmt: skip
+        text = verdict(
+            report, checkpoint, args.trajectories, args.seed, log=log,
+            train=read_logs(checkpoint.scenario, args.train), seeds=range(args.contest),
+            progress=not args.quiet and sys.stderr.isatty(), engine=args.engine,
+        )  # fmt: skip
         print(f"{checkpoint.scenario.name}, {checkpoint.system}: {text}")
     print(f"report written to {report.write().with_suffix('.html')}")
     return 0

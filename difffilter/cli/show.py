@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from difffilter.cli.options import Commands, load_named
 from difffilter.cli.output import number, print_json, table
+from difffilter.scenario.systems import recipes
 
 if TYPE_CHECKING:
     from difffilter.scenario.scenario import Scenario
@@ -100,7 +101,7 @@ def _text(scenario: Scenario) -> Iterator[str]:
         ),
     )
     yield "\nSystems"
-    yield table(["system", "recipe"], _recipes(document["systems"]))
+    yield table(["system", "recipe"], recipes(document["systems"]).items())
     loss = " + ".join(f"{weight:g} {name}" for name, weight in scenario.tuning.loss.items())
     yield f"\nTuning: {scenario.tuning.system} by {loss}"
     if scenario.runs:
@@ -123,16 +124,3 @@ def _lines(key: str, value: Any) -> Iterator[str]:
             yield from _lines(f"{key}.{i}", item)
     else:
         yield f"  {key} = {json.dumps(value)}"
-
-
-def _recipes(systems: Mapping[str, Mapping[str, Any]]) -> Iterator[list[str]]:
-    for name, recipe in systems.items():
-        parts = [f"{key} {_plain(value)}" for key, value in recipe.items() if key != "note"]
-        note = f" ({recipe['note']})" if "note" in recipe else ""
-        yield [name, (", ".join(parts) or "plain filter") + note]
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return "+".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -6,25 +6,27 @@ import math
 from collections.abc import Mapping, Sequence
 
 import torch
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from difffilter.errors import InputError
 from difffilter.figures.style import COLOURS, axes_grid
 from difffilter.log import Log
 from difffilter.metrics import nees, nees_states, scored_rows
 from difffilter.run import Track
-from difffilter.stress import CONDITIONS, Stressed
+from difffilter.stress import CONDITIONS, Grid, Stressed
 
-__all__ = ["consistency_figure", "stress_figure"]
+__all__ = ["autocorrelation", "consistency_figure", "grid_figure", "stress_figure"]
 
 
 def consistency_figure(log: Log, tracks: Mapping[str, Track]) -> Figure:
-    """Mean NEES per state and mean NIS per channel over time, with their 95 % bands.
+    """Mean NEES per state and NIS per channel over time, and the innovations' autocorrelation.
 
     The band of a mean of N chi-square variables with d degrees, divided by d, is
-    1 +- 1.96 sqrt(2 / (N d)), for N d large.
+    1 +- 1.96 sqrt(2 / (N d)), for N d large; that of a correlation +- 1.96 / sqrt(N).
     """
-    figure, (left, right) = axes_grid(1, 2)
+    figure, (left, right, last) = axes_grid(1, 3, width=4.4)
     for label, track in tracks.items():
         colour = COLOURS.get(label, COLOURS["other"])
         time = _time(track)
@@ -36,6 +38,9 @@ def consistency_figure(log: Log, tracks: Mapping[str, Track]) -> Figure:
             present = track.record.present.sum(-1).double()
             per_row = track.record.nis.flatten(1).sum(1) / present.flatten(1).sum(1)
             right.plot(time, per_row, label=label, color=colour, linewidth=1.0)
+            found, band = autocorrelation(track)
+            last.plot(range(1, len(found) + 1), found, ".-", label=label, color=colour)
+            last.axhspan(-band, band, color=COLOURS["clairvoyant"], alpha=0.15, linewidth=0)
     first = next(iter(tracks.values()))
     count = log.trajectories
     channels = len(first.channels)
@@ -50,7 +55,59 @@ def consistency_figure(log: Log, tracks: Mapping[str, Track]) -> Figure:
         ax.set_xlabel("time (s)")
         ax.set_ylabel(name)
         ax.legend(frameon=False)
+    last.axhline(0.0, color=COLOURS["truth"], linewidth=0.6)
+    last.set(xlabel="lag (steps)", ylabel="autocorrelation of innovations")
     return figure
+
+
+def grid_figure(grid: Grid) -> Figure:
+    """Tuned / published over outliers and noise, the published RMSE in m as contours."""
+    figure, (ax,) = axes_grid(1, 1, width=7.0, height=4.4)
+    x, y = range(len(grid.outliers)), range(len(grid.noise))
+    ratio = torch.tensor(grid.ratio)
+    most = max(float(ratio.log().abs().max()), math.log(1.05))
+    drawn = ax.pcolormesh(
+        x, y, ratio, cmap="RdBu_r", shading="nearest",
+        norm=LogNorm(math.exp(-most), math.exp(most)),
+    )  # fmt: skip
+    lines = ax.contour(x, y, torch.tensor(grid.published), colors="black", linewidths=0.8)
+    ax.clabel(lines, fmt="%.3g m", fontsize=8)
+    for i in y:
+        for j in x:
+            dark = abs(float(ratio[i, j].log())) > 0.6 * most
+            ax.text(j, i - 0.32, f"{float(ratio[i, j]):.2f}", ha="center", fontsize=8,
+                    color="white" if dark else "black")  # fmt: skip
+    ax.set_xticks(list(x), [f"{100 * share:g} %" for share in grid.outliers])
+    ax.set_yticks(list(y), [f"{level:g}" for level in grid.noise])
+    ax.set(xlabel="outliers added", ylabel="times the noise")
+    ax.grid(False)
+    bar = figure.colorbar(drawn, ax=ax, label="RMSE tuned / published")
+    bar.ax.yaxis.set_major_formatter("{x:.2g}")
+    bar.ax.yaxis.set_minor_formatter("{x:.2g}")
+    return figure
+
+
+def autocorrelation(track: Track, lags: int = 20) -> tuple[list[float], float]:
+    """Of the normalised innovations, per lag, and half the band of white ones (95 %).
+
+    Innovations beyond 3 sigma count as 3 sigma: outliers are not what this asks about.
+
+    Raises:
+        InputError: a track without records.
+    """
+    record = track.record
+    if record is None:
+        raise InputError("autocorrelation: expected a filter with records")
+    sigma = record.innovation_variance.sqrt()
+    normal = torch.where(record.present, (record.innovation / sigma).clamp(-3.0, 3.0), torch.nan)
+    found, count = [], 1
+    for lag in range(1, min(lags, len(normal) - 1) + 1):
+        first, second = normal[:-lag], normal[lag:]
+        known = torch.isfinite(first) & torch.isfinite(second)
+        a, b = first[known], second[known]
+        count = max(len(a), 1)
+        found.append(float((a * b).mean() / (a.square().mean() * b.square().mean()).sqrt()))
+    return found, 1.96 / math.sqrt(count)
 
 
 def stress_figure(found: Sequence[Stressed]) -> Figure:

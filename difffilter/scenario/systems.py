@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from difffilter.errors import InputError
 from difffilter.filter import RULES, STANDARDISATIONS
@@ -16,7 +17,7 @@ from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import MEASURES, Table
 from difffilter.weights import WEIGHTS
 
-__all__ = ["MotionSpec", "ParameterSpec", "SystemSpec", "read_system"]
+__all__ = ["MotionSpec", "ParameterSpec", "SystemSpec", "read_system", "recipes"]
 
 ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf", "bearing-ls", "bearing-wls")
 ADAPTATIONS = (
@@ -235,3 +236,19 @@ def _read_adaptation(table: Table) -> str | tuple[str, ...]:
             table.fail("adaptation", f"names among {', '.join(ADAPTATIONS)}, none twice")
         return names
     return table.text("adaptation", "none", choices=("none", *ADAPTATIONS))
+
+
+def recipes(systems: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Each system of a document in words: its keys, and its note."""
+    found = {}
+    for name, recipe in systems.items():
+        parts = [f"{key} {_plain(value)}" for key, value in recipe.items() if key != "note"]
+        note = f" ({recipe['note']})" if "note" in recipe else ""
+        found[name] = (", ".join(parts) or "plain filter") + note
+    return found
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "+".join(map(str, value)) if isinstance(value, list) else str(value)

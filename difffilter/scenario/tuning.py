@@ -34,6 +34,7 @@ def read_tuning(table: Table, systems: Sequence[str]) -> TuneSettings:
         test=table.integer("test", base.test, low=2),
         batch=table.integer("batch", base.batch, low=1),
         steps=table.integer("steps", base.steps, low=0),
+        runs=table.number("runs", base.runs, low=0.0),
         learning_rate=table.number("learning_rate", base.learning_rate, above=0.0),
         clip=table.number("clip", base.clip, above=0.0),
         temperature=(temperature[0], temperature[1]),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,14 +36,27 @@ from difffilter.tune.data import Batch, Trajectories, Windows, shuffled
 from difffilter.tune.diagnose import gradient_error
 from difffilter.tune.optimisers import Optimiser, chosen, optimiser_for
 from difffilter.tune.ranks import Ranks
+from difffilter.tune.search import SEARCHES
 from difffilter.tune.settings import TuneSettings
 from difffilter.tune.state import load_state, read_state, save_state
 
 __all__ = ["Descent"]
 
 
+@dataclass
+class Spent:
+    """Filter runs, as ``TuneSettings.runs`` counts them, and the seconds that they took."""
+
+    runs: float = 0.0
+    seconds: float = 0.0
+
+
 class Descent:
-    """Data, loss and optimiser of one tuning run."""
+    """Data, loss and optimiser of one tuning run.
+
+    Attributes:
+        seconds: spent by the steps before each entry of the history of :meth:`search`.
+    """
 
     def __init__(
         self,
@@ -66,9 +80,9 @@ class Descent:
         self.data: Trajectories | Windows
         if log is None:
             train = simulate(scenario, settings.trajectories, seed, "train")
-            train = self._referred(started(scenario, filter, train))
+            train = self.referred(started(scenario, filter, train))
             check = simulate(scenario, settings.validation, seed, "validation")
-            self.check = self._referred(started(scenario, filter, check))
+            self.check = self.referred(started(scenario, filter, check))
             assert train.start is not None
             self.data = Trajectories(train, train.start)
         else:
@@ -79,10 +93,17 @@ class Descent:
         # The first process chooses for all: others would take other steps.
         self.engine = self.ranks.told(self._pick(engine).encode()).decode()
         self.optimiser = chosen(settings, self.engine)
+        #: What a mean over the data counts: the prior's weight is one of these.
+        self.count = self.data.count
         if isinstance(self.data, Windows):
             self.data.engine = self.engine
+            if self.optimiser in SEARCHES:  # the loss is that of the whole logs
+                assert self.check.start is not None
+                self.data = Trajectories(self.check, self.check.start)
+        #: Filter runs and seconds of all steps so far; validation is not among them.
+        self.spent = Spent()
 
-    def _referred(self, log: Log) -> Log:
+    def referred(self, log: Log) -> Log:
         """The log with the published filter's squared errors, where the loss compares."""
         if "scenes" not in self.settings.loss:
             return log
@@ -114,6 +135,7 @@ class Descent:
             state = load_state(state_file, self.fingerprint(), self.ranks.told(content))
         best = state["best"] if state else {"loss": math.inf}
         history: list[dict[str, Any]] = state["history"] if state else []
+        self.seconds: list[float] = state["seconds"] if state else []
         first = state["start"] if state else 0
         done = first * self.settings.steps + (state["step"] if state else 0)
         with tqdm(
@@ -139,7 +161,10 @@ class Descent:
         settings = self.settings
         parameters = self._initial(start)
         free = list(parameters.free().values())
-        optimiser = optimiser_for(self.optimiser, settings, parameters, self.ranks)
+        optimiser = optimiser_for(
+            self.optimiser, settings, parameters, self.ranks, self.seed + start
+        )
+        self.spent = Spent()
         own_best, stale, loss, at = math.inf, 0, math.nan, 0
         if resumed is not None:
             with torch.no_grad():
@@ -147,15 +172,19 @@ class Descent:
                     tensor.copy_(saved)
             optimiser.restore(resumed["optimiser"])
             own_best, stale, at = resumed["own_best"], resumed["stale"], resumed["step"]
+            self.spent = Spent(*resumed["spent"])
             self.data.restore(resumed["beliefs"])
         for step in range(at, settings.steps + 1):
             last = step == settings.steps or optimiser.converged
+            last = last or 0.0 < settings.runs <= self.spent.runs
             if (step % optimiser.every == 0 or last) and not (resumed and step == at):
                 # To the digit as published where nothing has moved yet.
                 untouched = start == 0 and step == 0
                 values = self.filter.published() if untouched else parameters.frozen_values()
                 score = self._validate(values)
-                entry = {"start": start, "step": step, "training": loss, "validation": score}
+                entry = {"start": start, "step": step, "training": loss, "validation": score,
+                         "runs": self.spent.runs}  # fmt: skip
+                self.seconds.append(self.spent.seconds)
                 plain = {name: value.tolist() for name, value in values.items()}
                 history.append(entry | {"values": plain})
                 board.validation(
@@ -182,11 +211,13 @@ class Descent:
                             "best": best,
                             "own_best": own_best,
                             "stale": stale,
+                            "spent": [self.spent.runs, self.spent.seconds],
+                            "seconds": self.seconds,
                             "history": history,
                             "beliefs": self.data.keep(),
                         },
                     )
-            if last or stale >= settings.patience:
+            if last or (stale >= settings.patience and not optimiser.patient):
                 bar.update(settings.steps - step)
                 break
             loss = self._step(parameters, optimiser, start, step, board)
@@ -211,21 +242,27 @@ class Descent:
         else:
             index = shuffled(self.data.count, settings.batch, self.seed + start, step)
         batch = self.data.batch(self.ranks.share(index))
-        temperatures: list[float] = []
+        temperatures: list[float | None] = []
+        size = batch.log.trajectories * batch.log.steps / self.check.steps
+        numbers = sum(x.numel() for x in free)
 
-        def evaluate(temperature: float) -> tuple[Tensor, Mapping[str, Tensor]]:
+        def evaluate(temperature: float | None) -> tuple[Tensor, Mapping[str, Tensor]]:
             temperatures.append(temperature)
+            self.spent.runs += size * (1 + numbers * torch.is_grad_enabled())
             loss, terms = self.loss(parameters.values(), batch, temperature)
-            prior = parameters.negative_log_prior() / self.data.count
+            prior = parameters.negative_log_prior() / self.count
             # Gradients of all processes are added: each brings its share of the prior's.
-            size = self.ranks.size
-            return loss + prior / size + (1.0 - 1.0 / size) * prior.detach(), terms
+            among = self.ranks.size
+            return loss + prior / among + (1.0 - 1.0 / among) * prior.detach(), terms
 
         def expanded(temperature: float) -> Expansion:
             temperatures.append(temperature)
+            self.spent.runs += size * (1 + numbers)
             return self.expand(parameters, batch, temperature)
 
+        began = time.perf_counter()
         moved = optimiser.step(step, evaluate, expanded, changed)
+        self.spent.seconds += time.perf_counter() - began
         self.ranks.agree(free)
         if not math.isfinite(moved.norm):
             raise gradient_error(
@@ -254,7 +291,7 @@ class Descent:
             self.filter, batch.log, parameters.values(), batch.start, loss, self.context,
             temperature, self.engine,
         )  # fmt: skip
-        return expand(loss, sums, parameters, 1.0 / self.data.count, self.ranks)
+        return expand(loss, sums, parameters, 1.0 / self.count, self.ranks)
 
     def certainty(self, values: Values) -> Certainty | None:
         """How well the training data determine the values; None with torch: too slow there."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Protocol
 
 import torch
@@ -11,22 +11,12 @@ from torch import Tensor
 
 from difffilter.parameters import ParameterSet
 from difffilter.tune.curvature import SQUARED, Expansion
+from difffilter.tune.moved import Evaluate, Expand, Moved
 from difffilter.tune.ranks import Ranks
+from difffilter.tune.search import SEARCHES, Search
 from difffilter.tune.settings import TuneSettings
 
-__all__ = ["Adam", "GaussNewton", "Lbfgs", "Moved", "Optimiser", "chosen", "optimiser_for"]
-
-#: The loss and its terms of the current values at a temperature, differentiable.
-Evaluate = Callable[[float], tuple[Tensor, Mapping[str, Tensor]]]
-#: The same to second order.
-Expand = Callable[[float], Expansion]
-
-
-class Moved:
-    """What one step did: the loss before it, its terms, the norm of its gradient."""
-
-    def __init__(self, loss: float, terms: Mapping[str, Tensor], norm: float) -> None:
-        self.loss, self.terms, self.norm = loss, terms, norm
+__all__ = ["Adam", "GaussNewton", "Lbfgs", "Optimiser", "chosen", "optimiser_for"]
 
 
 class Optimiser(Protocol):
@@ -36,11 +26,13 @@ class Optimiser(Protocol):
         full: whether a step wants all trajectories instead of a batch.
         every: steps between validations.
         converged: whether further steps would change nothing.
+        patient: whether it goes on however long nothing gets better.
     """
 
     full: bool
     every: int
     converged: bool
+    patient: bool
 
     def step(self, step: int, evaluate: Evaluate, expand: Expand, changed: bool) -> Moved:
         """Move once; ``changed`` tells that the data are others than at the step before."""
@@ -61,13 +53,16 @@ def chosen(settings: TuneSettings, engine: str) -> str:
 
 
 def optimiser_for(
-    name: str, settings: TuneSettings, parameters: ParameterSet, among: Ranks
+    name: str, settings: TuneSettings, parameters: ParameterSet, among: Ranks, seed: int = 0
 ) -> Optimiser:
     """The optimiser of that name.
 
     Args:
         among: processes whose gradients are added.
+        seed: of a search that draws its points.
     """
+    if name in SEARCHES:
+        return Search(name, parameters, seed)
     if name == "adam":
         return Adam(settings, parameters, among)
     if name == "lbfgs":
@@ -90,7 +85,7 @@ def _add_gradients(free: list[torch.nn.Parameter], among: Ranks) -> None:
 class Adam:
     """Stochastic gradients; the rate falls along a cosine to a twentieth."""
 
-    full, converged = False, False
+    full, converged, patient = False, False, False
 
     def __init__(self, settings: TuneSettings, parameters: ParameterSet, among: Ranks) -> None:
         self.among = among
@@ -127,7 +122,7 @@ COOLING = 8
 class Lbfgs:
     """Quasi-Newton over all trajectories, with a line search."""
 
-    full, converged = True, False
+    full, converged, patient = True, False, False
 
     def __init__(self, settings: TuneSettings, parameters: ParameterSet, among: Ranks) -> None:
         self.among = among
@@ -178,7 +173,7 @@ class GaussNewton:
     by more than one (a factor e of a scale), and is taken back if the loss does not fall.
     """
 
-    full = True
+    full, patient = True, False
 
     def __init__(self, settings: TuneSettings, parameters: ParameterSet) -> None:
         self.settings, self.every = settings, max(settings.evaluate_every // 5, 1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 __all__ = ["OPTIMISERS", "TuneSettings"]
 
-OPTIMISERS = ("auto", "gauss-newton", "adam", "lbfgs")
+OPTIMISERS = ("auto", "gauss-newton", "adam", "lbfgs", "random", "nelder-mead", "cma-es")
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,15 @@ class TuneSettings:
         optimiser: ``gauss-newton`` (all trajectories in every step, tens of steps), ``adam``
             (batches, hundreds), ``lbfgs``; ``auto``: Gauss-Newton where the fused engine
             runs, ``position`` is among the losses and all others are consistencies; else
-            Adam.
+            Adam. Without derivatives, to compare with: ``random``, ``nelder-mead`` (needs
+            scipy), ``cma-es`` (needs cma).
         trajectories: simulated training trajectories.
         validation: simulated validation trajectories, for early stopping.
         test: simulated held-out trajectories, for the result that is frozen with the values.
         batch: trajectories (or windows of recorded logs) per gradient of Adam.
         steps: steps at most, per start.
+        runs: filter runs at most, per start; 0 for no limit. One is one trajectory once through
+            the filter; with p derivatives it counts as 1 + p.
         learning_rate: of Adam, on unconstrained numbers (0.05 is about 5 % of a scale);
             falls along a cosine to a twentieth of it.
         clip: largest gradient norm of Adam.
@@ -51,6 +54,7 @@ class TuneSettings:
     test: int = 200
     batch: int = 64
     steps: int = 120
+    runs: float = 0.0
     learning_rate: float = 0.08
     clip: float = 1.0
     temperature: tuple[float, float] = (0.5, 0.02)

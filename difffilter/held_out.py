@@ -1,0 +1,83 @@
+"""Sets of values of one filter on the same held-out log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from difffilter.estimate import estimate, started
+from difffilter.filter import Filter
+from difffilter.log import Log
+from difffilter.metrics import mean_nees, paired_ratio, position_error, scored_rows
+from difffilter.parameters import Values
+from difffilter.run import Track
+from difffilter.scenario.scenario import Scenario
+
+__all__ = ["HeldOut", "Outcome"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one set of values gave.
+
+    Attributes:
+        track: of the whole log.
+        squared: (T, ...), squared position errors, m^2.
+        rows: (T, ...), those that count.
+        rmse: position root mean square error, m.
+        nees: mean NEES per state, 1 expected.
+    """
+
+    track: Track
+    squared: Tensor
+    rows: Tensor
+    rmse: float
+    nees: float
+
+    def ratio(self, to: Outcome) -> tuple[float, float, float]:
+        """RMSE divided by that of another, over the rows of both, with its 95 % interval."""
+        return paired_ratio(self.squared, to.squared, self.rows & to.rows)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A log with truth that nobody tuned on, and who runs over it.
+
+    Attributes:
+        scenario: says how a run starts and which rows count.
+        filter: the recipe.
+        log: with truth.
+        temperature: None for the hard form.
+        engine: as for :func:`difffilter.run`.
+    """
+
+    scenario: Scenario
+    filter: Filter
+    log: Log
+    temperature: float | None = None
+    engine: str = "auto"
+
+    def outcome(
+        self, values: Values | None = None, start: Callable[[Log], Log] = lambda log: log
+    ) -> Outcome:
+        """Run with some values (the published ones if None), started as they start.
+
+        Args:
+            start: changes the started log.
+
+        Raises:
+            InputError: a log without truth.
+        """
+        values = self.filter.published() if values is None else values
+        ready = start(started(self.scenario, self.filter, self.log, values))
+        with torch.no_grad():
+            track = estimate(
+                self.filter, ready, values, temperature=self.temperature, engine=self.engine
+            )
+        rows = scored_rows(self.log, track, self.scenario.score)
+        squared = position_error(self.log, track)
+        error = float(squared[rows].mean().sqrt())
+        return Outcome(track, squared, rows, error, float(mean_nees(self.log, track, rows)))
