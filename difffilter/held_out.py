@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from difffilter.engine.choice import pick, tell
+from difffilter.errors import EngineError
 from difffilter.estimate import estimate, started
 from difffilter.filter import Filter
 from difffilter.log import Log
 from difffilter.metrics import mean_nees, paired_ratio, position_error, scored_rows
 from difffilter.parameters import Values
-from difffilter.run import Track
+from difffilter.run import Track, run
 from difffilter.scenario.scenario import Scenario
 
 __all__ = ["HeldOut", "Outcome"]
@@ -60,6 +64,20 @@ class HeldOut:
     temperature: float | None = None
     engine: str = "auto"
 
+    @cached_property
+    def _chosen(self) -> str:
+        """The engine of many runs: ``auto`` compiles where that is possible at all."""
+        chosen = pick(self.engine, math.inf)
+        if chosen != "auto":
+            return chosen
+        one = self.log.select([0]) if self.log.z.dim() > 2 else self.log
+        try:
+            run(self.filter, started(self.scenario, self.filter, one), engine="fused")
+        except EngineError as error:
+            tell(error)
+            return "torch"
+        return "fused"
+
     def outcome(
         self, values: Values | None = None, start: Callable[[Log], Log] = lambda log: log
     ) -> Outcome:
@@ -75,7 +93,7 @@ class HeldOut:
         ready = start(started(self.scenario, self.filter, self.log, values))
         with torch.no_grad():
             track = estimate(
-                self.filter, ready, values, temperature=self.temperature, engine=self.engine
+                self.filter, ready, values, temperature=self.temperature, engine=self._chosen
             )
         rows = scored_rows(self.log, track, self.scenario.score)
         squared = position_error(self.log, track)

@@ -8,7 +8,7 @@ from statistics import median
 from matplotlib.figure import Figure
 
 from difffilter.contest import Contender, Course
-from difffilter.figures.style import COLOURS, axes_grid
+from difffilter.figures.style import COLOURS, axes_grid, plain_log
 from difffilter.tune.search import SEARCHES
 
 __all__ = ["contest_figure", "gain_figure"]
@@ -36,7 +36,7 @@ def contest_figure(courses: Sequence[Course]) -> Figure:
             seen.add(method)
         published = median(course.loss[0] for course in courses)
         ax.axhline(published, color=COLOURS["published"], linestyle="--", label="published")
-        ax.set_xscale("log")
+        plain_log(ax, "x")
         ax.set_xlabel({"runs": "filter runs", "seconds": "seconds"}[name])
         ax.set_ylabel("held-out loss")
     axes[0].legend(frameon=False, fontsize=8)
@@ -59,7 +59,7 @@ def gain_figure(found: Sequence[Contender]) -> Figure:
     ax.axvline(1.0, color=COLOURS["truth"], linewidth=0.6)
     highest = max(c.outcome.ratio(base)[2] for c in found)
     if highest > 8.0:
-        ax.set_xscale("log")
+        plain_log(ax, "x")
         ax.set_xlim(right=highest**1.7)
     else:
         ax.set_xlim(0.0, 1.5 * highest)

@@ -8,10 +8,11 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from difffilter.files import write_atomically
 
-__all__ = ["COLOURS", "axes_grid", "save_figure"]
+__all__ = ["COLOURS", "axes_grid", "plain_log", "save_figure"]
 
 #: Colour-blind safe (Okabe and Ito): truth and bounds in black and grey, then the systems.
 COLOURS = {
@@ -34,6 +35,15 @@ def axes_grid(
         ax.grid(True, linewidth=0.4, alpha=0.5)
         ax.spines[["top", "right"]].set_visible(False)
     return figure, flat
+
+
+def plain_log(ax: Axes, which: str) -> None:
+    """A logarithmic axis (``x`` or ``y``) with few labels, written out: 0.5, 2, 10."""
+    ax.set(**{f"{which}scale": "log"})
+    axis = getattr(ax, f"{which}axis")
+    axis.set_major_locator(LogLocator(10.0, (1.0, 2.0, 5.0), numticks=6))
+    axis.set_major_formatter(StrMethodFormatter("{x:.4g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:

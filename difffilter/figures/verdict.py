@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.figures.style import COLOURS, axes_grid
+from difffilter.figures.style import COLOURS, axes_grid, plain_log
 from difffilter.log import Log
 from difffilter.metrics import nees, nees_states, scored_rows
 from difffilter.run import Track
@@ -51,7 +51,7 @@ def consistency_figure(log: Log, tracks: Mapping[str, Track]) -> Figure:
         half = 1.96 * math.sqrt(2.0 / (count * degrees))
         ax.axhspan(1.0 - half, 1.0 + half, color=COLOURS["clairvoyant"], alpha=0.25, linewidth=0)
         ax.axhline(1.0, color=COLOURS["truth"], linewidth=0.6)
-        ax.set_yscale("log")
+        plain_log(ax, "y")
         ax.set_xlabel("time (s)")
         ax.set_ylabel(name)
         ax.legend(frameon=False)
@@ -74,16 +74,20 @@ def grid_figure(grid: Grid) -> Figure:
     ax.clabel(lines, fmt="%.3g m", fontsize=8)
     for i in y:
         for j in x:
-            dark = abs(float(ratio[i, j].log())) > 0.6 * most
-            ax.text(j, i - 0.32, f"{float(ratio[i, j]):.2f}", ha="center", fontsize=8,
-                    color="white" if dark else "black")  # fmt: skip
+            ax.text(
+                j,
+                i - 0.36,
+                f"{float(ratio[i, j]):.2f}",
+                ha="center",
+                fontsize=8,
+                bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0},
+            )
     ax.set_xticks(list(x), [f"{100 * share:g} %" for share in grid.outliers])
     ax.set_yticks(list(y), [f"{level:g}" for level in grid.noise])
     ax.set(xlabel="outliers added", ylabel="times the noise")
     ax.grid(False)
     bar = figure.colorbar(drawn, ax=ax, label="RMSE tuned / published")
-    bar.ax.yaxis.set_major_formatter("{x:.2g}")
-    bar.ax.yaxis.set_minor_formatter("{x:.2g}")
+    plain_log(bar.ax, "y")
     return figure
 
 
@@ -123,7 +127,7 @@ def stress_figure(found: Sequence[Stressed]) -> Figure:
             ax.plot(levels, error, marker="o", label=label, color=COLOURS[label])
         errors = [error for x in here for error in (x.published, x.tuned)]
         if max(errors) > 20.0 * min(errors):
-            ax.set_yscale("log")
+            plain_log(ax, "y")
         else:
             ax.set_ylim(bottom=0.0)
         ax.set_xlabel(meaning)
