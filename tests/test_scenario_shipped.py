@@ -27,6 +27,7 @@ SYSTEMS = {
     "airport-mlat-intermittent": "taylor-ls chan-ls ekf chan-ekf adaptive-ekf huber m-ekf "
     "m-ekf-all-rows m-ekf-mad clairvoyant",
     "uwb-ranges": "ekf robust",
+    "uwb-simulated": "ekf robust clairvoyant",
     "airborne-bearing": BEARING_SYSTEMS,
     "airborne-bearing-absolute": BEARING_SYSTEMS,
     "airborne-bearing-clean": BEARING_SYSTEMS,

@@ -3,7 +3,8 @@
 Each rotation is tuned three times: by squared position error; without truth, by the
 likelihood of the innovations; by squared error and consistency together. Every run starts
 from its first measurements. Writes report/uwb-ranges and checkpoints/uwb-ranges.json (tuned
-on all four runs, with the leave-one-out results).
+on all four runs, with the leave-one-out results). Then asks what transfers: values tuned in
+simulation (checkpoints/uwb-simulated.json) and on one, two or three runs, on every run.
 
     python training/uwb_ranges.py            # some minutes
     python training/uwb_ranges.py --quick    # under a minute: the first 25 s of each run
@@ -12,17 +13,17 @@ on all four runs, with the leave-one-out results).
 from __future__ import annotations
 
 import sys
-from argparse import Namespace
 from dataclasses import replace
 
 import torch
 from common import QUICK, Stages, arguments, checkpoint_path
+from uwb_tables import RUNS
+from uwb_transfer import logs, transfer
 
 import difffilter as df
 from difffilter.figures.tracks import track_figure
 from difffilter.report import Report
 
-RUNS = ("los_A1", "los_A2", "nlos_A1", "nlos_A2")
 LOSSES = {
     "squared error": {"position": 1.0},
     "likelihood, no truth": {"likelihood": 1.0},
@@ -42,9 +43,9 @@ def main() -> int:
     settings = {"seed": options.seed, "quick": options.quick}
     report = Report(options.out, "uwb-ranges: hand-picked against tuned", settings)
     report.text(" ".join(scenario.notes) + (QUICK if options.quick else ""))
-    stages = Stages(len(RUNS) + 3, options.quiet)
+    stages = Stages(len(RUNS) + 4, options.quiet)
 
-    rows, scores = [], {}
+    rows, scores, rotated = [], {}, {}
     for run in RUNS:
         stages.next(f"tuned without {run}, tested on it")
         train = logs(scenario, options, [name for name in RUNS if name != run])
@@ -72,6 +73,7 @@ def main() -> int:
             ]
             rows.append([run, "robust", f"tuned: {name}", row.rmse, row.nees_per_state, *values])
             if name == BEST:
+                rotated[run] = result.checkpoint
                 draw(report, run, test, result.checkpoint)
 
     stages.next("tuned on all four runs")
@@ -99,14 +101,10 @@ def main() -> int:
     head = ["run", "system", "values", "RMSE (m)", "NEES per axis", "q (m/s^2)", "sigma (m)", "k"]
     report.table("held-out runs", head, rows)
     judge(report, scenario, scores)
+    stages.next("what transfers, from simulation and from run to run")
+    transfer(report, options, scenario, rotated, quick)
     stages.next(f"wrote {report.write()}")
     return 0
-
-
-def logs(scenario: df.Scenario, options: Namespace, runs: list[str]) -> df.Log:
-    """The recordings of some runs; the first 250 rows of each in a quick run."""
-    log = df.load_logs(scenario, [options.data / f"{run}.csv" for run in runs])
-    return log.rows(0, 250) if options.quick else log
 
 
 def draw(report: Report, run: str, test: df.Log, checkpoint: df.Checkpoint) -> None:
