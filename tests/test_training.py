@@ -116,13 +116,21 @@ def test_the_uwb_experiment_runs_all_four_rotations(tmp_path: Path) -> None:
     rows = report["tables"]["held-out runs"]
     assert {row["run"] for row in rows} == {"los_A1", "los_A2", "nlos_A1", "nlos_A2"}
     assert len([row for row in rows if row["values"].startswith("tuned")]) == 12
-    assert set(df.load(tmp_path / "uwb-ranges.json").values) == {
-        "motion.acceleration",
-        "range.sigma",
-        "range.bias",
-        "imq.k",
-        "start.sigma",
-    }
+    transferred = report["tables"]["transfer"]
+    assert len(transferred) == 4 * 11
+    assert len([row for row in transferred if row["in-sample"]]) == 8
+    assert len([claim for claim in report["claims"] if "simulation" in claim["claim"]]) == 2
+    assert {"transfer", "transfer-nees"} <= {figure["name"] for figure in report["figures"]}
+    for stem in ("uwb-ranges", "uwb-simulated"):
+        frozen = df.load(tmp_path / f"{stem}.json")
+        assert (frozen.system, frozen.scenario.name) == ("robust", stem)
+        assert set(frozen.values) == {
+            "motion.acceleration",
+            "range.sigma",
+            "range.bias",
+            "imq.k",
+            "start.sigma",
+        }
 
 
 def test_without_recordings_the_uwb_experiment_says_that_it_is_skipped(tmp_path: Path) -> None:

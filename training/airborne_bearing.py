@@ -12,8 +12,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from bearing_tables import curves, judge_paper, lock_out, reference_table, time_figure
+from bearing_claims import ITEMS, UNCHECKED, judge_more, judge_paper
+from bearing_equations import judge_equations
+from bearing_tables import curves, lock_out, outlier_table, reference_table, time_figure
 from common import QUICK, Stages, arguments, checkpoint_path, values_table
+from papers import contents
 
 import difffilter as df
 from difffilter.report import Report
@@ -61,6 +64,7 @@ def main() -> None:
     stages.next("tuning on the outliers of Table 1")
     tuned = {"outliers": tune(wild, wild.name)}
     stages.next("reference curves, figures 2 to 4")
+    outlier_table(report, wild)
     report.heading("The published filters over time")
     found = {
         "clean": curves(clean, runs, seed + 1, None, blocks),
@@ -68,14 +72,21 @@ def main() -> None:
     }
     for name, key in (("airborne-bearing-clean", "clean"), ("airborne-bearing", "wild")):
         reference_table(report, name, found[key], runs, not quick)
+    of = f"published values, {runs} trajectories"
+    one = of
+    if blocks > 1:
+        of = f"published values, median over {blocks} blocks of {runs} trajectories"
+        one = f"{of}, of least squares one block"
     time_figure(report, 2, "EKF against least squares, no outliers", found["clean"],
-                ["ls", "weighted-ls", "ekf"], log=True)  # fmt: skip
+                ["ls", "weighted-ls", "ekf"], one)  # fmt: skip
     time_figure(report, 3, "no outliers", found["clean"],
-                ["ekf", "robust", "gated", "robust-noise"], log=True)  # fmt: skip
+                ["ekf", "robust", "gated", "robust-noise"], of)  # fmt: skip
     time_figure(report, 4, "outliers of Table 1", found["wild"],
-                ["ekf", "robust", "gated", "ls", "gated tuned"], log=True)  # fmt: skip
+                ["ekf", "robust", "gated", "ls", "gated tuned"],
+                f"{one}; gated also with values tuned on these outliers")  # fmt: skip
     judge_paper(report, found["clean"], found["wild"])
-
+    judge_more(report, found["clean"], found["wild"])
+    judge_equations(report, matched, 20 if quick else 500, seed + 1)
     stages.next("tuning on multipath")
     tuned["multipath"] = tune(multipath, multipath.name)
     stages.next("tuning on multipath, without a bias")
@@ -107,6 +118,7 @@ def main() -> None:
     report.heading("What the values for multipath cost where there is none")
     report.comparison("no multipath", df.compare(quiet, values, held_out, seed + 2))
     lock_out(report, lockout, held_out, seed + 3)
+    contents(report, ITEMS, UNCHECKED)
     stages.next(f"wrote {report.write()}")
 
 

@@ -9,11 +9,14 @@ figures 6 to 9. Writes report/airport-mlat and the frozen values in checkpoints/
 
 from __future__ import annotations
 
-from airport_tables import REFERENCE, reference_table, sweep_nlos, sweep_noise, windows_figure
+from airport_claims import ITEMS, UNCHECKED, judge_comparison, judge_figures
+from airport_figures import sweep_nlos, sweep_noise, windows_figure
+from airport_tables import REFERENCE, reference_table
+from airport_tracks import tracks_figure
 from common import QUICK, Stages, arguments, checkpoint_path, values_table
+from papers import contents
 
 import difffilter as df
-from difffilter.figures.tracks import track_figure
 from difffilter.report import Report
 
 LITERAL_50 = {"faults.nlos.scale": 50.0}
@@ -59,19 +62,20 @@ def main() -> None:
         report.comparison(name, table)
         report.table(f"values, {name}", *values_table(result.checkpoint))
         judge(report, name, table)
+        judge_comparison(report, name, table)
 
     stages.next("figure 6: track")
-    log = df.simulate(intermittent, 1, seed + 3, "figure")
-    frozen = tuned["intermittent, 100 ns, p = 0.1"]
-    track = df.run(frozen.filter, log)
-    caption = "Figure 6: one intermittent trajectory, tuned M-EKF"
-    report.figure(track_figure(log, track, 0, caption), "figure-6-track", caption)
-
+    worlds = {"literal, 50 ns": literal50, "intermittent, 100 ns": intermittent}
+    report.heading("Figures of the paper")
+    tracks_figure(report, worlds, tuned, seed)
     stages.next("figure 7: windows of 50 points")
-    windows_figure(report, intermittent, literal50, tuned, seed, quick)
+    windows = windows_figure(report, worlds, tuned, seed, quick)
     stages.next("figures 8 and 9: noise levels")
-    sweep_noise(report, literal, tuned, seed, 10 if quick else 100, quick)
-    sweep_nlos(report, literal, tuned, seed, 10 if quick else 100, quick)
+    trajectories = 10 if quick else 100
+    noise = sweep_noise(report, literal, tuned, seed, trajectories, quick)
+    levels = sweep_nlos(report, literal, tuned, seed, trajectories, quick)
+    judge_figures(report, windows, noise, levels)
+    contents(report, ITEMS, UNCHECKED)
     stages.next(f"wrote {report.write()}")
 
 

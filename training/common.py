@@ -38,7 +38,7 @@ def arguments(name: str, data: bool = False) -> argparse.Namespace:
         parser.add_argument(
             "--data",
             type=Path,
-            default=ROOT.parent / "shared" / "data" / "uwb_ranges",
+            default=recordings(),
             help="folder of the recordings",
         )
     options = parser.parse_args()
@@ -46,6 +46,11 @@ def arguments(name: str, data: bool = False) -> argparse.Namespace:
         parser.error(f"--seed: found {options.seed}, expected 0 or more")
     torch.set_num_threads(1)  # small tensors: a second thread only costs
     return options
+
+
+def recordings() -> Path:
+    """Where the recorded logs are, if they are here at all."""
+    return ROOT.parent / "shared" / "data" / "uwb_ranges"
 
 
 def checkpoint_path(stem: str, options: argparse.Namespace) -> Path:

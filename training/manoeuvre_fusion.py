@@ -14,7 +14,9 @@ from typing import Any
 
 from common import QUICK, Stages, arguments, checkpoint_path, values_table
 from manoeuvre_claims import judge_claims
+from manoeuvre_paper import ITEMS, UNCHECKED, judge_more
 from manoeuvre_tables import Errors, errors, figures, gain, reference_table, track_panel
+from papers import contents
 
 import difffilter as df
 from difffilter.report import Report
@@ -48,6 +50,8 @@ def main() -> None:
     track_panel(report, second, logs[second.name])
     figures(report, found)
     judge_claims(report, *found.values())
+    if not quick:
+        judge_more(report, *found.values())
 
     def tune(scenario: df.Scenario, system: str, **changes: Any) -> df.Checkpoint:
         own = small | changes | {"system": system}
@@ -73,6 +77,7 @@ def main() -> None:
         report.table(f"values, {system}, {name}", *values_table(checkpoint))
     stages.next("equal terms: every filter on the pooled measurement")
     equal_terms(report, scenarios, held)
+    contents(report, ITEMS, {} if quick else UNCHECKED)
     stages.next(f"wrote {report.write()}")
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
+from manoeuvre_paper import SAYS
 from torch import Tensor
 
 import difffilter as df
@@ -106,7 +107,7 @@ def reference_table(
         f"Mean over 1 to 150 s of the RMSE over {runs} runs, in m. The fusion and the pooled "
         "filters use three sensors, the others one."
     )
-    report.table("reference", ["system", "from", *HEAD], rows)
+    report.table("reference", ["system", "from", *HEAD], rows, SAYS["reference"])
     if judged:
         report.claim(
             f"reference values within 10 % ({cells - len(apart)} of {cells})", not apart, apart
@@ -129,8 +130,11 @@ def track_panel(report: Report, scenario: df.Scenario, log: df.Log) -> None:
         ax.annotate(f"{k} s", (log.truth[k - 1, 0, :2] / 1e3).tolist(), fontsize=8)
     ax.set(xlabel="x (km)", ylabel="y (km)")
     ax.legend(fontsize=8)
-    caption = "Figure 2: one track; turns at 30 to 60 s and 90 to 120 s, a jump at 80 s"
-    report.figure(figure, "figure-2-track", caption)
+    caption = (
+        "Figure 2: one trajectory; turns at 30 to 60 s and 90 to 120 s, a jump at 80 s; "
+        "measurements of the precise sensor, no filter"
+    )
+    report.figure(figure, "figure-2-track", caption, SAYS["figure 2"])
 
 
 def figures(report: Report, found: dict[str, dict[str, Errors]]) -> None:
@@ -146,10 +150,13 @@ def figures(report: Report, found: dict[str, dict[str, Errors]]) -> None:
     for results, title, names, log in plans:
         for i, axis in enumerate("xy"):
             shown = {name: results[name].over_time[:, i].tolist() for name in names}
-            caption = f"{title}, RMSE of {axis}"
+            panel = f"{title}, RMSE of {axis}"
+            own = "; pooled-robust is this project's, hand-picked" * ("pooled-robust" in names)
+            runs = results["fusion"].squared.shape[1]
+            caption = f"Figure {number}: {panel}, published values{own}; {runs} trajectories"
             figure = curves_figure(
-                {caption: (seconds, shown)}, "time (s)", f"RMSE of {axis} (m)", log=log,
+                {panel: (seconds, shown)}, "time (s)", f"RMSE of {axis} (m)", log=log,
                 emphasised=("fusion",), markers=False,
             )  # fmt: skip
-            report.figure(figure, f"figure-{number}", f"Figure {number}: {caption}")
+            report.figure(figure, f"figure-{number}", caption, SAYS[f"figure {number}"])
             number += 1

@@ -1,7 +1,8 @@
-"""Runs every experiment and writes report/README.md; ``make reproduce`` calls it.
+"""Runs every experiment and its verdict, writes report/; ``make reproduce`` calls it.
 
 Experiments run side by side, one per core: each is a process of its own, whose stages drive a
-progress bar here and whose output goes to report/NAME/run.log.
+progress bar here and whose output goes to report/NAME/run.log. After it ``difffilter report``
+judges the values that it froze, on data of another seed, into report/NAME/verdict.
 
     python training/reproduce.py [--quick] [--seed S] [--out report]
 """
@@ -16,7 +17,9 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TextIO
 
+from common import recordings
 from tqdm import tqdm
 
 from difffilter import page
@@ -32,6 +35,18 @@ EXPERIMENTS = {
     "uwb-ranges": "uwb_ranges.py",
     "weights": "weights.py",
 }
+
+#: Checkpoints that are judged after each experiment, and tunings per method of the contest.
+VERDICTS = {
+    "airport-mlat": ("airport-mlat-intermittent", "airport-mlat-literal-50ns", "airport-mlat"),
+    "airborne-bearing": ("airborne-bearing", "airborne-bearing-multipath",
+                         "airborne-bearing-clean", "airborne-bearing-matched"),
+    "manoeuvre-fusion": ("manoeuvre-fusion-1", "manoeuvre-fusion-2"),
+    "urban-credibility": ("urban-credibility",),
+    "uwb-ranges": ("uwb-simulated",),
+}  # fmt: skip
+#: The recorded run that the verdict on recordings holds out.
+HELD_OUT = "nlos_A2"
 
 
 def main() -> int:
@@ -72,27 +87,57 @@ def main() -> int:
 
 
 def follow(name: str, script: str, bar: tqdm, options: argparse.Namespace) -> int:
-    """Run one experiment; its ``[i/n] text`` lines drive the bar."""
+    """Run one experiment and its verdict; their ``[i/n] text`` lines drive the bar."""
     folder = options.out / name
     folder.mkdir(parents=True, exist_ok=True)
-    command = [sys.executable, str(HERE / script), "--quiet", "--seed", str(options.seed)]
+    command = [str(HERE / script), "--quiet", "--seed", str(options.seed)]
     command += ["--out", str(folder), *(["--quick"] if options.quick else [])]
+    with (folder / "run.log").open("w") as log:
+        code = drive(command, log, bar)
+        for verdict in verdicts(name, options) if code == 0 else []:
+            bar.set_postfix_str(f"verdict on {Path(verdict[0]).stem}")
+            code = code or drive(["-m", "difffilter", "report", *verdict], log, bar)
+    if code == 0:
+        bar.n = bar.total
+    return code
+
+
+def verdicts(name: str, options: argparse.Namespace) -> list[list[str]]:
+    """Arguments of ``difffilter report`` for each part of an experiment's verdict."""
+    if not (options.out / name / "report.json").is_file():
+        return []  # recordings absent
+    frozen = options.out / name if options.quick else HERE.parent / "checkpoints"
+    size = ["--trajectories", "8"] if options.quick else ["--trajectories", "200"]
+    size += ["--contest", "0" if options.quick else "3", "--seed", str(options.seed + 5)]
+    parts = []
+    files = [frozen / f"{stem}.json" for stem in VERDICTS.get(name, ())]
+    files = [str(path) for path in files if path.is_file()]
+    if files:
+        out = options.out / name / "verdict"
+        parts.append([*files, *size, "--quiet", "--out", str(out)])
+    rotated = options.out / name / f"without-{HELD_OUT}.json"
+    if rotated.is_file():
+        runs = {path.stem: str(path) for path in sorted(recordings().glob("*os_A*.csv"))}
+        held = runs.pop(HELD_OUT)
+        out = options.out / name / "verdict-recorded"
+        parts.append([str(rotated), "--log", held, "--train", *runs.values(), *size, "--quiet",
+                      "--out", str(out)])  # fmt: skip
+    return parts
+
+
+def drive(command: list[str], log: TextIO, bar: tqdm) -> int:
+    """Run Python with these arguments, output into ``log``; the exit code."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    with (
-        (folder / "run.log").open("w") as log,
-        subprocess.Popen(command, env=environment, **pipe) as process,
-    ):
+    with subprocess.Popen([sys.executable, *command], env=environment, **pipe) as process:
         for line in process.stdout or ():
             log.write(line)
             log.flush()
             if line.startswith("["):
                 place, _, text = line[1:].partition("]")
                 at, _, total = place.partition("/")
-                bar.total, bar.n = int(total), int(at) - 1
+                bar.total, bar.n = int(total) + 1, int(at) - 1
                 bar.set_postfix_str(f"{place} {text.strip()[-60:]}")
-        if process.wait() == 0:
-            bar.n = bar.total
     return process.returncode
 
 
@@ -105,9 +150,12 @@ def write_index(folder: Path) -> Path:
             lines += [f"- {name}: no report (recordings absent, or the run failed)"]
             continue
         claims = json.loads(path.read_text())["claims"]
-        held = sum(claim["held"] is True for claim in claims)
-        lines += [f"- [{name}]({name}/report.md): {held} of {len(claims)} claims held"]
-        lines += [f"  - {HELD[c['held']]}: {c['claim']}" for c in claims if not c["held"]]
+        held, missed, unknown = (sum(c["held"] is x for c in claims) for x in (True, False, None))
+        lines += [
+            f"- [{name}]({name}/report.md): {held} of {held + missed} claims held, "
+            f"{unknown} cannot be checked"
+        ]
+        lines += [f"  - {HELD[c['held']]}: {c['claim']}" for c in claims if c["held"] is False]
     index = folder / "README.md"
     index.write_text("\n".join(lines) + "\n")
     write_page(folder)
@@ -115,17 +163,25 @@ def write_index(folder: Path) -> Path:
 
 
 def write_page(folder: Path) -> None:
-    """All reports in one HTML page that stands alone."""
-    links, bodies = [], []
+    """All verdicts and reports in one HTML page that stands alone, what to do first."""
+    links, bodies, rows = [], [], []
     for name in EXPERIMENTS:
-        path = folder / name / "report.html"
-        if path.is_file():
-            whole = path.read_text(encoding="utf-8")
-            links.append(f'<a href="#{name}">{name}</a>')
-            bodies.append(f'<h1 id="{name}">{name}</h1>')
+        parts = [folder / name / part for part in ("verdict", "verdict-recorded", ".")]
+        parts = [part for part in parts if (part / "report.html").is_file()]
+        if not parts:
+            continue
+        links.append(f'<a href="#{name}">{name}</a>')
+        bodies.append(f'<h1 id="{name}">{name}</h1>')
+        for part in parts:
+            found = json.loads((part / "report.json").read_text())["verdicts"]
+            rows += [[case, *text.partition(".")[::2]] for case, text in found.items()]
+            whole = (part / "report.html").read_text(encoding="utf-8")
             bodies.append(whole.partition(page.START)[2].partition(page.END)[0])
-    body = [f"<nav>{' '.join(links)}</nav>", *bodies]
-    write_atomically(folder / "index.html", page.page("Published against tuned", body))
+    body = [f"<nav>{' '.join(links)}</nav>"]
+    if rows:
+        body += ["<h2>In short</h2>", page.table(["scenario, system", "advice", "why"], rows)]
+    path = folder / "index.html"
+    write_atomically(path, page.page("Published against tuned", [*body, *bodies]))
 
 
 if __name__ == "__main__":

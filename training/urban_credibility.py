@@ -14,7 +14,11 @@ from typing import Any
 
 import torch
 from common import QUICK, Stages, arguments, checkpoint_path, values_table
-from urban_tables import error_figure, fsp_figure, table_1, trust_traps, variants
+from papers import contents
+from urban_claims import ITEMS, UNCHECKED, judge_paper
+from urban_equations import judge_equations
+from urban_tables import error_figure, fsp_figure, table_1, variants
+from urban_traps import trust_traps
 
 import difffilter as df
 from difffilter.fsp import fsp, ratio_gain
@@ -60,6 +64,8 @@ def main() -> None:
     table_1(report, found, runs, judged=not quick)
     report.table("values", *values_table(tuned))
     judge(report, found)
+    judge_paper(report, found)
+    judge_equations(report)
     values = {"published": None, "tuned": tuned}
     report.heading("Held out")
     report.comparison("held out", df.compare(scenario, values, runs, seed + 2))
@@ -70,6 +76,7 @@ def main() -> None:
     stages.next("trust traps, variants")
     trust_traps(report)
     variants(report, tuned, 4 if quick else runs, seed + 4, not quick)
+    contents(report, ITEMS, UNCHECKED)
     stages.next(f"wrote {report.write()}")
 
 

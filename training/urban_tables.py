@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from urban_claims import PAPER, SAYS
 
 import difffilter as df
 from difffilter.figures.curves import curves_figure
@@ -10,14 +11,7 @@ from difffilter.figures.surface import surface_figure
 from difffilter.fsp import FSP, fsp, fsp_surface
 from difffilter.metrics import position_error
 from difffilter.report import Report
-from difffilter.trust import credibility_share, trap_width, trust_gap
 
-#: Table 1 of paper 2: FSP in m and optimal filtering ratio, by scene.
-PAPER = {
-    "standard": (1.133, 3.044, 3.621, 1.088),
-    "credibility": (1.065, 1.844, 2.311, 1.028),
-    "ideal": (0.857, 1.339, 1.562, 0.798),
-}
 ALGORITHM = {"standard": "1", "credibility": "2", "ideal": "3"}
 
 
@@ -48,7 +42,7 @@ def table_1(report: Report, found: dict[str, FSP], runs: int, judged: bool) -> N
         "built. The last column takes the tuned filter's delta in its place. standard: "
         "algorithm 1; credibility: algorithm 2; tuned: algorithm 2 with tuned values."
     )
-    report.table("table 1", head, rows)
+    report.table("table 1", head, rows, SAYS["table 1"])
     if not judged:
         return
     mean = sum(deviations) / len(deviations)
@@ -90,12 +84,15 @@ def error_figure(report: Report, scenario: df.Scenario, log: df.Log, tuned: df.C
         error = error[: len(error) // 10 * 10].reshape(-1, 10).mean(1).sqrt()
         shown[name if name in ("tuned",) else f"{name} ({ALGORITHM[name]})"] = error.tolist()
     seconds = [2.0 * i + 1.0 for i in range(len(error))]
-    caption = "position RMSE over time, scenes of 50 s"
+    caption = (
+        f"position RMSE over time, scenes of 50 s, {log.trajectories} trajectories; published "
+        "values, and algorithm 2 also with tuned ones"
+    )
     figure = curves_figure(
-        {caption: (seconds, shown)}, "time (s)", "position RMSE (m)", log=True,
+        {"scenes of 50 s": (seconds, shown)}, "time (s)", "position RMSE (m)", log=True,
         emphasised=("credibility (2)",), markers=False,
     )  # fmt: skip
-    report.figure(figure, "figure-4-errors", f"Figure 4: {caption}")
+    report.figure(figure, "figure-4-errors", f"Figure 4: {caption}", SAYS["figure 4"])
 
 
 def fsp_figure(
@@ -125,53 +122,11 @@ def fsp_figure(
         panels, q, kappa, "process noise q (m/s^1.5)", "kappa", "delta (m)", points=marks, own=own
     )
     caption = (
-        f"FSP function over process noise and credibility of the prediction, {runs} runs, other "
-        "values tuned; published and ideal filters have none (kappa = 0), and the ideal one's "
-        "delta stands in the legend: it knows more than any point of the surface"
+        f"FSP function over process noise and credibility of the prediction, {runs} trajectories, "
+        "other values tuned; published and ideal filters have none (kappa = 0), and the ideal "
+        "one's delta stands in the legend: it knows more than any point of the surface"
     )
-    report.figure(figure, "fsp-surface", caption)
-
-
-def trust_traps(report: Report) -> None:
-    """Figure 3: the gap for two systems, how traps narrow with more, and eq. (16) checked."""
-    report.heading("Trust traps")
-    a = torch.linspace(-3.0, 4.0, 281, dtype=torch.float64)
-    gap = trust_gap(a[None, :], a[:, None], 2)
-    figure = surface_figure(
-        {"two systems": gap.nan_to_num().tolist()}, a.tolist(), a.tolist(), "own error a",
-        "other's error b", "gap in credibility", log=(False, False), columns=1, diverging=True,
-    )  # fmt: skip
-    caption = (
-        "Figure 3: credibility from true minus from relative errors, in units of the prediction's "
-        "error; blue: trusted too much"
-    )
-    report.figure(figure, "figure-3-trust-traps", caption)
-    line = torch.linspace(-1.0, 3.0, 401, dtype=torch.float64)
-    curves = {
-        f"N = {n}": trust_gap(line, torch.full_like(line, 0.1), n).tolist() for n in (2, 3, 5, 10)
-    }
-    figure = curves_figure(
-        {"b = 0.1": (line.tolist(), curves)}, "own error a", "gap in credibility", markers=False,
-        zero=False,
-    )  # fmt: skip
-    report.figure(figure, "trust-traps-systems", "Trust traps narrow as systems are added, b = 0.1")
-    width = {n: trap_width(0.1, n) for n in (2, 3, 5, 10, 20)}
-    report.claim(
-        "trust traps (gap below -0.5, b = 0.1) narrow as the number of systems grows",
-        all(x > y for x, y in zip(list(width.values()), list(width.values())[1:], strict=False)),
-        {f"N = {n}": value for n, value in width.items()},
-    )
-    generator = torch.Generator().manual_seed(0)
-    a, b = 4.0 * torch.randn(2, 10_000, generator=generator, dtype=torch.float64)
-    worst = 0.0
-    for n in (2, 3, 7):
-        direct = credibility_share(a, b, n) - credibility_share(a - 1.0, b - 1.0, n)
-        worst = max(worst, float((trust_gap(a, b, n) - direct).abs().max()))
-    report.claim(
-        "eq. (16) is eq. (11) with the true errors minus eq. (11) with the relative ones",
-        worst < 1e-9,
-        {"largest difference, 10,000 points": worst},
-    )
+    report.figure(figure, "fsp-surface", caption, SAYS["surface"])
 
 
 def variants(report: Report, tuned: df.Checkpoint, runs: int, seed: int, judged: bool) -> None:

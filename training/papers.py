@@ -1,0 +1,24 @@
+"""What each report says last of its paper: its items and where they stand, and what stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from difffilter.report import Report
+
+__all__ = ["contents"]
+
+
+def contents(
+    report: Report, items: Sequence[tuple[str, str, str]], unchecked: Mapping[str, str]
+) -> None:
+    """A table of the paper's figures and tables, and claims that no run can check.
+
+    Args:
+        items: of the paper, as its specification tells of them: name, what it is, where here.
+        unchecked: claim to the reason why it cannot be checked.
+    """
+    report.heading("The paper's figures and tables")
+    report.table("the paper's items", ["the paper", "what it is", "here"], items)
+    for text, why in unchecked.items():
+        report.claim(text, None, {"why": why})
