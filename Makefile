@@ -1,6 +1,7 @@
 # make reproduce   everything, from an empty checkout to report/
 # make test        lint, formatting, types, tests
 # make bench       speed, memory and start beside JAX and others (an extra, installed on demand)
+# make docs        this documentation as a site, with the API reference: site/index.html
 # Each sets up .venv first. QUICK=1 makes reproduce a matter of a minute.
 
 PYTHON ?= python3
@@ -9,7 +10,7 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: setup reproduce test lint bench clean
+.PHONY: setup reproduce test lint docs bench clean
 
 setup: $(VENV)/.ready
 
@@ -18,7 +19,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	  { echo "$(PYTHON) is `$(PYTHON) --version`, expected Python 3.11 or later (make PYTHON=...)"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,docs,search]'
 	touch $@
 
 reproduce: setup
@@ -32,9 +33,12 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: setup
+	NO_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict --quiet
+
 bench: setup
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[bench]'
 	env -u OMP_NUM_THREADS $(BIN)/python -m difffilter bench --out report/bench $(if $(QUICK),--quick)
 
 clean:
-	rm -rf $(VENV) report runs
+	rm -rf $(VENV) report runs site

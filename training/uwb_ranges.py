@@ -83,7 +83,11 @@ def main() -> int:
         scenario, seed=options.seed, log=every, settings=quick, progress=not options.quiet
     ).checkpoint
     left_out = {
-        run: {"rmse": scores[run, BEST].rmse, "nees_per_state": scores[run, BEST].nees_per_state}
+        run: {
+            "rmse": scores[run, BEST].rmse,
+            "nees_per_state": scores[run, BEST].nees_per_state,
+            "values": {name: value.tolist() for name, value in rotated[run].values.items()},
+        }
         for run in RUNS
     }
     df.save(
