@@ -27,6 +27,13 @@ class Bearing(StationSensor):
 
     The gradient is (-(y - y_s), x - x_s) / d^2 (paper 1, eq. 3, whose second entry has the
     wrong sign); at a station itself it is zero.
+
+    Attributes:
+        name: prefix of ``NAME.sigma`` and ``NAME.bias``, both in rad.
+        stations: (x, y) of each, m; relative to the platform where there is one.
+
+    Raises:
+        InputError: a state of other than two axes.
     """
 
     unit: ClassVar[str] = "rad"

@@ -87,7 +87,15 @@ class Checkpoint:
         covariance: Tensor | Sequence[Sequence[float]],
         engine: str = "auto",
     ) -> Tracker:
-        """A streaming tracker that runs the frozen values from this belief."""
+        """A streaming tracker that runs the frozen values from this belief.
+
+        Args:
+            mean: (n,), covariance: (n, n), in the units of the states.
+            engine: as for :class:`difffilter.tracker.Tracker`.
+
+        Raises:
+            InputError: a baseline, or a mean or covariance that does not fit.
+        """
         return Tracker(
             self.published_filter, mean, covariance, self.values, self.temperature, engine
         )

@@ -35,6 +35,7 @@ class Row:
     """One system with one set of values.
 
     Attributes:
+        system, values: names of both.
         rmse: position RMSE in m over scored rows; ci95: bootstrap interval over trajectories.
         median: median over trajectories of their own RMSE, m (outliers of a run that lost
             track do not move it).
@@ -69,7 +70,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of :func:`compare`; the reference row is the published tuned-for system."""
+    """Result of :func:`compare`; the reference row is the published tuned-for system.
+
+    Attributes:
+        scenario: name; trajectories: how many; seed: of simulated ones, None for logs.
+        reference: label of the row that ratios are relative to.
+        rows: one for each system and set of values.
+    """
 
     scenario: str
     trajectories: int
@@ -82,7 +89,7 @@ class Comparison:
         return dict(vars(self)) | {"rows": [row.as_dict() for row in self.rows]}
 
     def row(self, system: str, values: str = "published") -> Row:
-        """The row of a system and a set of values."""
+        """The row of a system and a set of values; InputError if there is none."""
         for row in self.rows:
             if (row.system, row.values) == (system, values):
                 return row

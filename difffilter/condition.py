@@ -68,6 +68,9 @@ def condition(
         weight: (..., m) in [0, 1]; 0 where the channel is missing.
         noise: (..., m), independent noise variance r >= 0 of each channel.
 
+    Returns:
+        Shift of the mean (..., n), posterior deviations (..., n, k), and residuals (..., m).
+
     Source: J. E. Potter's square-root update, applied to the stacked state and
     predicted measurement [reconstruction].
     """

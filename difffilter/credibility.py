@@ -55,6 +55,9 @@ class Credibility:
             ``ideal.error`` (..., m), and the process noise's level ``ideal.process`` (...)
             where it is not NaN.
 
+    Raises:
+        InputError: fewer than two systems.
+
     Memory: ``credibility.ratio`` (..., m), R' / R; ``credibility.variance`` (..., m), R' as of
     the last row; ``credibility.drift`` (..., axes).
     """

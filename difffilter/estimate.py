@@ -39,6 +39,14 @@ def started(scenario: Scenario, system: System, log: Log, values: Values | None 
     then one time step before the first row, at step 0.
     How many rows that reads, and how unknown the velocity is, the scenario's ``[start]``
     says; values are those of the system's parameters, the published ones if missing.
+
+    Args:
+        scenario: its ``[start]`` says how.
+        system: a filter or a baseline; the log keeps its channels.
+        log: z (T, m) or (T, B, m).
+
+    Raises:
+        InputError: a trajectory, named, whose first measurements determine no position.
     """
     log = log.only(system.channels)
     if log.start is not None:
@@ -65,7 +73,24 @@ def estimate(
     progress: bool = False,
     engine: str = "auto",
 ) -> Track:
-    """Estimates of a filter or a baseline over a log (see :func:`difffilter.run`)."""
+    """Estimates of a filter or a baseline over a log (see :func:`difffilter.run`).
+
+    Args:
+        system: a :class:`Filter`, or a baseline.
+        log: z (T, m) or (T, B, m); further channels than the system's are left out.
+        values: physical parameter values; the declared ones if missing.
+        start: as for :func:`difffilter.run`; baselines may need none.
+        temperature: of a filter's soft form; None for the hard form.
+        progress: show a bar if it takes over two seconds.
+        engine: of a filter: ``torch``, ``fused`` or ``auto``.
+
+    Returns:
+        Means (T, ..., n) and deviations; NaN where a baseline has no estimate.
+
+    Raises:
+        InputError: a channel that the log has not, shapes or values that do not fit, no start.
+        NonFiniteError: names the first trajectory, step and state or channel.
+    """
     log = log.only(system.channels)
     if isinstance(system, Filter):
         return run(

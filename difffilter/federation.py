@@ -37,6 +37,9 @@ class Federation:
 
     Attributes:
         shares: beta_i, one for each system.
+
+    Raises:
+        InputError: fewer than two shares, one that is not above 0, a sum that is not 1.
     """
 
     shares: tuple[float, ...]

@@ -82,6 +82,10 @@ class Filter:
         overrides: declarations that replace the components' own (published value, source,
             tuned or not), by name.
 
+    Raises:
+        InputError: options that are unknown or do not fit together, a channel name twice, an
+            override of no parameter.
+
     Example:
         >>> from difffilter import TDOA, ConstantVelocity, Filter, tanh
         >>> stations = [(0, 0), (1600, 0), (0, 3500), (1600, 3500)]
@@ -167,17 +171,17 @@ class Filter:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states."""
+        """Names of the n states, the position first."""
         return self.motion.states
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the channels, in the order of ``Measurement.z``."""
+        """Names of the m channels, in the order of ``Measurement.z``."""
         return tuple(name for sensor in self.sensors for name in sensor.channels)
 
     @cached_property
     def federation(self) -> Federation | None:
-        """The local filters, one for each sensor."""
+        """The local filters, one for each sensor; None if not ``federated``."""
         if not self.federated:
             return None
         count = len(self.sensors)
@@ -248,7 +252,7 @@ class Filter:
         return declare((self._own | dict(self.overrides)).values())
 
     def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
-        """The declared values."""
+        """The declared values by name, in the units that their declarations name."""
         return published_values(self.declarations, dtype)
 
     def with_values(self, values: Values) -> Filter:
@@ -301,7 +305,7 @@ class Filter:
                 )
 
     def start(self, mean: Tensor, deviations: Tensor) -> Belief:
-        """Initial belief, with the memory of recovery and adaptation at its declared start."""
+        """Initial belief from a mean (..., n) and deviations (..., n, n), memory at its start."""
         memory = self.adaptation.memory(mean, len(self.channels)) if self.adaptation else {}
         if self.recovery is not None:
             memory = memory | self.recovery.memory(mean)

@@ -137,7 +137,14 @@ class RatioGain:
 
 
 def ratio_gain(mine: FSP, other: FSP, psi: FSP, draws: int = 2000, seed: int = 0) -> RatioGain:
-    """How much higher the mean ratio over scenes is than another filter's, on the same log."""
+    """How much higher the mean ratio over scenes is than another filter's, on the same log.
+
+    Args:
+        mine: the filter that is judged, with B trajectories.
+        other: what it is compared with, by the same trajectories and scenes.
+        psi: stands for the infimum (paper 2: the ideal filter's).
+        draws: of the bootstrap; seed: of these.
+    """
 
     def mean_ratio(of: FSP, at: Tensor) -> Tensor:
         """(draws,), from resampled trajectories (draws, B)."""

@@ -49,7 +49,10 @@ class Fusion:
 
     Attributes:
         axes: positions, the first states.
-        window: of the matching.
+        window: of the matching, rows.
+
+    A filter with it raises InputError where it has fewer than three sensors, sensors of different
+    kinds, or noise common to channels.
     """
 
     axes: int = 2

@@ -29,6 +29,9 @@ class Gate:
         significance: of the published threshold; 0.005 is paper 1's, with 7.879 for one
             channel. The parameter ``gate.threshold`` is that of one degree of freedom; a
             group of d present channels is tested at the same significance with d.
+
+    Raises:
+        InputError: an unknown action, a significance that is not between 0 and 1.
     """
 
     action: str = "reject"

@@ -99,7 +99,15 @@ def scored_rows(log: Rows, track: Track, score: Score | str = "all") -> Tensor:
 
 
 def rmse(log: Rows, track: Track, score: Score | str = "all") -> Tensor:
-    """Position root mean square error over scored rows of all trajectories, m."""
+    """Position root mean square error over scored rows of all trajectories: scalar, m.
+
+    Args:
+        log: with truth (T, ..., q); track: estimates of its rows.
+        score: which rows count, as for :func:`scored_rows`.
+
+    Raises:
+        InputError: no truth.
+    """
     rows = scored_rows(log, track, score)
     return position_error(log, track)[rows].mean().sqrt()
 
@@ -161,7 +169,10 @@ def nis_per_channel(track: Track) -> Tensor:
 
 
 def rejected(track: Track, below: float = 0.1) -> dict[str, float]:
-    """Share of each channel's present measurements with a weight below ``below``."""
+    """Share, 0 to 1, of each channel's present measurements with a weight below ``below``.
+
+    By channel name, over all rows and trajectories.
+    """
     if track.record is None:
         return {}
     present = track.record.present.flatten(0, -2)

@@ -31,6 +31,9 @@ class PositionSensor:
         sigma: standard deviation in ``unit`` (one, or one per channel), or covariance.
         bias: in ``unit``, added to every channel's prediction, or one per channel.
         unit: of the measurement.
+
+    Raises:
+        InputError: a number of channels that does not fit.
     """
 
     unit: ClassVar[str] = "m"
@@ -88,7 +91,7 @@ class PositionSensor:
 
 @dataclass(frozen=True, kw_only=True)
 class Position(PositionSensor):
-    """Position measured directly, one channel per axis: h(x) = position."""
+    """Position measured directly, m, one channel per axis: h(x) = position."""
 
     name: str = "position"
 

@@ -34,6 +34,14 @@ class Recovery:
     * ``inflate``: the predicted covariance is multiplied by f in every row with c >= n.
 
     Either grows until a measurement passes. [reconstruction]
+
+    Attributes:
+        action: ``widen`` or ``inflate``.
+        rejections: n, rows.
+        factor: f, per row, above 1.
+
+    Raises:
+        InputError: an unknown action.
     """
 
     action: str = "inflate"

@@ -38,7 +38,8 @@ def step(
         measurement: z (..., m) with NaN where a channel is missing, dt, known inputs.
 
     Returns:
-        The belief after the measurement, and the record of what was done.
+        The belief after the measurement, and the record of what was done. Nothing is checked
+        here: a belief may turn out not finite (:func:`difffilter.run` raises then).
     """
     if filter.fusion is not None:
         return filter.fusion.step(filter, constants, belief, measurement)

@@ -37,6 +37,10 @@ class Tracker:
     Attributes:
         steps: how many were done.
 
+    Raises:
+        InputError: a mean or a covariance that does not fit the filter, a wrong value.
+        EngineError: ``fused`` where the step cannot be compiled.
+
     Example:
         >>> import torch
         >>> from difffilter import ConstantVelocity, Filter, Position, Tracker, huber

@@ -12,6 +12,7 @@ def credibility_share(own: Tensor, others: Tensor, systems: int) -> Tensor:
     """gamma of one system with error ``own`` among N - 1 others with error ``others``.
 
     Inverse squares, normalised (paper 2, eq. 11): others^2 / ((N - 1) own^2 + others^2).
+    Errors are of any shape that broadcasts, in the same unit.
     """
     return others.square() / ((systems - 1) * own.square() + others.square())
 
@@ -19,8 +20,8 @@ def credibility_share(own: Tensor, others: Tensor, systems: int) -> Tensor:
 def trust_gap(a: Tensor, b: Tensor, systems: int) -> Tensor:
     """gamma from the true errors minus gamma from the errors relative to the prediction.
 
-    With a the system's own error and b that of the N - 1 others, both in units of the
-    prediction's error, relative errors are a - 1 and b - 1 (paper 2, eqs. 14 and 15)::
+    With a the system's own error and b that of the N - 1 others (tensors that broadcast), both in
+    units of the prediction's error, relative errors are a - 1 and b - 1 (paper 2, eqs. 14 and 15)::
 
         (N - 1)(a - b)(2ab - a - b) / ([(N - 1)a^2 + b^2] [(N - 1)(a - 1)^2 + (b - 1)^2])
 

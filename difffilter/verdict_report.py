@@ -32,6 +32,7 @@ def verdict(
     *,
     log: Log | None = None,
     train: Log | None = None,
+    name: str = "",
     seeds: Sequence[int] = (),
     progress: bool = False,
     engine: str = "auto",
@@ -42,6 +43,7 @@ def verdict(
         trajectories, seed: of the simulated held-out trajectories.
         log: recorded ones in their place.
         train: recorded logs that the values were tuned on, for the contest.
+        name: of the checkpoint in headings and file names; the scenario's if empty.
         seeds: of the contest of tuners, one tuning each; none leaves it out.
         progress: show how far the contest is.
 
@@ -52,11 +54,12 @@ def verdict(
     filter = checkpoint.published_filter
     held_out = simulate(scenario, trajectories, seed, "test") if log is None else log
     held = HeldOut(scenario, filter, held_out.only(filter.channels), checkpoint.temperature, engine)
+    name = name or scenario.name
     case = Case(
-        f"{scenario.name}, {system}", scenario.name, checkpoint, held,
+        f"{name}, {system}", name, checkpoint, held,
         held.outcome(), held.outcome(checkpoint.values),
     )  # fmt: skip
-    told = [name for name, spec in scenario.systems.items() if spec.clairvoyant and log is None]
+    told = [n for n, spec in scenario.systems.items() if spec.clairvoyant and log is None]
     table = compare(
         scenario, {"published": None, "tuned": checkpoint}, trajectories, seed, log=log,
         systems=tuple(dict.fromkeys([system, *told])), engine=engine,
@@ -85,22 +88,30 @@ def advice(
     table: Comparison, system: str, found: Sequence[Change], stressed: Sequence[Stressed]
 ) -> str:
     """What the numbers say to somebody who has to decide."""
-    row = table.row(system, "tuned")
+    row, before = table.row(system, "tuned"), table.row(system, "published")
     low, high = row.ratio_ci95
     risks = [
         f"{x.condition} {x.level:g} ({100 * (x.ratio[0] - 1):+.0f} %)"
         for x in stressed if x.ratio[0] > WORSE and x.ratio[1] > 1.0
     ]  # fmt: skip
+    fair = honest(row.nees_per_state)
+    mended = fair and not honest(before.nees_per_state)
+    care = "Adopt with care" if risks or not fair else "Adopt the tuned values"
     gain = f"RMSE {row.rmse:.3g} m, {row.ratio:.3f} of the published values' ({low:.3f}-{high:.3f})"
-    if high >= 1.0:
-        first = "Keep the published values. Held out, tuning wins nothing that is sure"
-    elif risks or not honest(row.nees_per_state):
-        first = "Adopt with care. Held out the tuned values win"
+    if high < 1.0:
+        first = f"{care}. Held out the tuned values win"
+    elif mended and row.ratio <= WORSE:
+        first = f"{care} for their covariance. Held out the errors are not surely smaller"
+    elif low > 1.0:
+        first = "Keep the published values. Held out the tuned ones lose"
     else:
-        first = "Adopt the tuned values. Held out they win"
+        first = "Keep the published values. Held out, tuning wins nothing that is sure"
     parts = [f"{first}: {gain}"]
-    nees = f"NEES per state {row.nees_per_state:.2f} (1 is honest)"
-    if not honest(row.nees_per_state):
+    nees = (
+        f"NEES per state {row.nees_per_state:.2f}, published {before.nees_per_state:.3g} "
+        "(1 is honest)"
+    )
+    if not fair:
         nees += ", so that the covariance must not be trusted"
     parts.append(nees)
     if risks:

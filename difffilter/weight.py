@@ -26,6 +26,9 @@ class Weight:
         function: (s, constants, temperature or None) -> w, elementwise on s (..., m).
         parameters: declarations; their values arrive in ``constants`` by name.
         derive: further constants computed once per run from the values.
+
+    s is in sigmas. A hard form has ``temperature`` None; a soft one is smooth in s and in its
+    parameters and exactly 1 at s = 0.
     """
 
     name: str

@@ -18,7 +18,7 @@ __all__ = [
     "student_t", "tanh", "tukey", "weight_named", "welsch",
 ]  # fmt: skip
 
-#: Every weight function by name.
+#: Every weight function by name, as scenario files know it. What is entered here they know too.
 WEIGHTS = {
     weight.name: weight
     for weight in (

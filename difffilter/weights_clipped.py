@@ -103,13 +103,20 @@ def _tukey(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
     return (soft_relu(left, temperature) / soft_relu(torch.ones_like(left), temperature)).square()
 
 
+#: min(1, k / |s|). ``huber.k`` 1.345 sigma: efficiency of 95 % for Gaussian noise (Huber).
 huber = Weight("huber", _huber, (clipping_point("huber.k", 1.345, "Huber"),))
+#: 1 up to k0, (k0 / |s|) ((k1 - |s|) / (k1 - k0))^2 up to k1, 0 beyond. ``igg3.k`` (1.2, 4.0)
+#: sigma: IGG-III (paper 1, which calls them k1 and k2).
 igg3 = Weight("igg3", _igg3, (clipping_pair("igg3.k", (1.2, 4.0), ("k0", "k1"), "paper 1"),))
+#: 1 up to a, c tanh(c (b - |s|) / 2) / |s| up to b, 0 beyond, c such that it is continuous (paper
+#: 3, eq. 25). ``tanh.ab`` (1.5, 4.0) sigma, calibrated: the paper leaves them open.
 tanh = Weight(
     "tanh",
     _tanh,
     (clipping_pair("tanh.ab", (1.5, 4.0), ("a", "b"), "calibrated; paper 3 leaves them open"),),
     _tanh_slope,
 )
+#: 1 up to k, exp(1 - (s / k)^2) beyond: the Danish method of geodesy. ``danish.k`` 2.0 sigma.
 danish = Weight("danish", _danish, (clipping_point("danish.k", 2.0, "Danish method"),))
+#: (1 - (s / k)^2)^2 up to k, 0 beyond. ``tukey.k`` 4.685 sigma: efficiency of 95 % (Tukey).
 tukey = Weight("tukey", _tukey, (clipping_point("tukey.k", 4.685, "Tukey, 95 % efficiency"),))

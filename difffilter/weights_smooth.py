@@ -48,17 +48,26 @@ def _number(name: str, value: float, source: str, meaning: str) -> Parameter:
     return Parameter(name, value, Positive(), "1", source, meaning=meaning)
 
 
+#: 1: the Kalman filter.
 plain = Weight("plain", _plain)
+#: 1 / (1 + (s / k)^2). ``cauchy.k`` 2.385 sigma: efficiency of 95 %.
 cauchy = Weight("cauchy", _cauchy, (clipping_point("cauchy.k", 2.385, "95 % efficiency"),))
+#: exp(-(s / k)^2 / 2), maximum correntropy. ``welsch.k`` 2.985 sigma, customary for exp(-(s /
+#: k)^2).
 welsch = Weight(
     "welsch", _welsch, (clipping_point("welsch.k", 2.985, "customary for exp(-(s/k)^2)"),)
 )
+#: 1 / (1 + (s / k)^2): WoLF's squared inverse multi-quadric. ``imq.k`` 3.0 sigma.
 imq = Weight("imq", _imq, (clipping_point("imq.k", 3.0, "WoLF"),))
+#: (nu + 1) / (nu + s^2), at most 1: Student's density. ``student-t.nu`` 4 degrees of freedom.
 student_t = Weight(
     "student-t",
     _student_t,
     (_number("student-t.nu", 4.0, "customary", "degrees of freedom"),),
 )
+#: ((s / k)^2 / |alpha - 2| + 1)^(alpha / 2 - 1), Barron's family: alpha to 2 is ``plain``, 0
+#: ``cauchy``, -2 Geman-McClure, to minus infinity ``welsch``. ``barron.alpha`` 0, ``barron.k``
+#: 1.686 sigma.
 barron = Weight(
     "barron",
     _barron,

@@ -86,8 +86,10 @@ def row(values: str, ratio: tuple[float, float, float], nees: float = 1.1) -> Ro
     return Row("gated", values, 2.0, (1.9, 2.1), 2.0, ratio[0], ratio[1:], nees, 1.0, 1.0, {}, {})
 
 
-def told(ratio: tuple[float, float, float], worse: float = 1.0, nees: float = 1.1) -> str:
-    rows = (row("published", (1.0, 1.0, 1.0)), row("tuned", ratio, nees))
+def told(
+    ratio: tuple[float, float, float], worse: float = 1.0, nees: float = 1.1, before: float = 1.1
+) -> str:
+    rows = (row("published", (1.0, 1.0, 1.0), before), row("tuned", ratio, nees))
     table = Comparison("gate-lockout", 10, 1, "gated published", rows)
     change = Change("gate.threshold", "1", (), (1.0, 0.99, 1.01), 1.0, True)
     under = Stressed("noise", 3.0, 1.0, worse, (1.0, 1.0), (worse, worse - 0.01, worse + 0.01))
@@ -104,6 +106,22 @@ def test_the_advice_follows_from_the_numbers() -> None:
     assert "must not be trusted" in proud
     assert told((0.99, 0.95, 1.02)).startswith("Keep the published values.")
     assert "costs nothing: gate.threshold" in careful
+    assert "published 1.1" in careful
+
+
+def test_an_honest_covariance_is_a_reason_to_adopt_where_the_error_stays() -> None:
+    assert told((0.99, 0.95, 1.02), before=17.6).startswith(
+        "Adopt the tuned values for their covariance."
+    )
+    assert told((0.99, 0.95, 1.02), worse=1.2, before=17.6).startswith(
+        "Adopt with care for their covariance."
+    )
+    for ratio, nees, before in (
+        ((1.1, 0.95, 1.2), 1.1, 17.6),  # not at the price of the error
+        ((0.99, 0.95, 1.02), 5.0, 17.6),  # not where it stays dishonest
+    ):
+        assert told(ratio, nees=nees, before=before).startswith("Keep the published values.")
+    assert "the tuned ones lose" in told((1.2, 1.1, 1.3))
 
 
 def test_a_verdict_holds_every_section_and_figure(tmp_path: Path) -> None:
@@ -111,13 +129,50 @@ def test_a_verdict_holds_every_section_and_figure(tmp_path: Path) -> None:
     text = verdict(report, tuned(motion__acceleration=3.0), 6, 2)
     page = report.write().with_suffix(".html").read_text(encoding="utf-8")
     assert text.split(";")[0].replace("'", "&#x27;") in page or text.split(";")[0] in page
-    for section in ("held out", "what changed", "trustworthy", "beyond what it was tuned on"):
+    for section in (
+        "held out", "What changed", "trustworthy", "Beyond what it was tuned on",
+        "Is the gradient worth it?", "the contest of tuners was not asked for",
+    ):  # fmt: skip
         assert section in page
-    assert page.count("<img ") == 3
+    assert page.count("<img ") == 4
     data = json.loads((tmp_path / "report.json").read_text())
+    assert data["verdicts"] == {"gate-lockout, gated": text}
     assert len(data["tables"]["gate-lockout stress"]) == sum(
         len(levels) for _, levels in CONDITIONS.values()
     )
+
+
+def test_checkpoints_of_one_scenario_have_names_of_their_own(tmp_path: Path) -> None:
+    places = [tmp_path / "first.json", tmp_path / "second.json"]
+    save(tuned(motion__acceleration=3.0), places[0])
+    save(tuned(motion__acceleration=2.0), places[1])
+    done = command(*map(str, places), "--trajectories", "4", "--out", str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
+    data = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(data["verdicts"]) == {"first, gated", "second, gated"}
+    assert {f"{stem} values" for stem in ("first", "second")} <= set(data["tables"])
+    names = [figure["name"] for figure in data["figures"]]
+    assert len(names) == len(set(names)) == 8
+
+
+def test_a_verdict_compares_the_gradient_with_searches_and_noise_estimates(
+    tmp_path: Path,
+) -> None:
+    small = SCENARIO.with_overrides(
+        {"tuning.system": "gated", "tuning.steps": 2, "tuning.trajectories": 4,
+         "tuning.validation": 4, "tuning.evaluate_every": 1,
+         "parameters.motion.acceleration.tuned": True}
+    )  # fmt: skip
+    checkpoint = replace(tuned(motion__acceleration=3.0), scenario=small)
+    report = Report(tmp_path, "Verdict")
+    verdict(report, checkpoint, 4, 2, seeds=(0,))
+    data = json.loads(report.write().with_suffix(".json").read_text())
+    methods = [row["method"] for row in data["tables"]["gate-lockout contest"]]
+    assert methods[1:] == ["random", "nelder-mead", "cma-es"]
+    first, *_, last = data["tables"]["gate-lockout gain"]
+    assert (first["ratio to published"], first["95 % interval"]) == (1.0, [1.0, 1.0])
+    assert first["what is estimated, and how"] == "published"
+    assert last["what is estimated, and how"] == "all: gradient"
 
 
 def command(*words: str) -> subprocess.CompletedProcess[str]:
@@ -132,7 +187,7 @@ def test_the_command_writes_one_page_and_prints_the_advice(tmp_path: Path) -> No
     save(tuned(motion__acceleration=3.0), place)
     done = command(str(place), "--trajectories", "4", "--out", str(tmp_path / "out"))
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("gate-lockout, gated: ")
+    assert done.stdout.startswith("mine, gated: ")
     assert (tmp_path / "out" / "report.html").is_file()
     recorded = replace(load_checkpoint("uwb-ranges"))
     save(recorded, tmp_path / "uwb.json")
@@ -140,6 +195,7 @@ def test_the_command_writes_one_page_and_prints_the_advice(tmp_path: Path) -> No
         ((str(tmp_path / "uwb.json"),), "uwb-ranges: has no world, expected --log"),
         ((str(place), "--out", str(place)), "found a file, expected a folder"),
         ((str(place), str(place), "--log", "x.csv"), "expected one with recorded logs"),
+        ((str(place), "--train", "x.csv"), "found no --log beside it"),
     ):
         done = command(*words)
         assert done.returncode == 2

@@ -38,7 +38,10 @@ class InnovationMatching(Passive):
     [R] reconstruction.
 
     Attributes:
-        window: w; static, of the memory.
+        window: w, rows, 2 or more; static, of the memory.
+
+    Raises:
+        InputError: a window below 2.
 
     Memory: ``matching.ring`` (..., w - 1, m), c over P_zz at its row; ``matching.streak`` (...);
     ``matching.flag`` (...), of the last row; ``matching.before`` (...), the streak before it.

@@ -71,13 +71,14 @@ def command(args: Namespace) -> int:
 
     settings = {"seed": args.seed, "trajectories": args.trajectories}
     report = Report(args.out, "Verdict: published against tuned", settings)
-    for checkpoint in held:
+    for path, checkpoint in zip(args.checkpoint, held, strict=True):
         log = read_logs(checkpoint.scenario, args.log)
         text = verdict(
             report, checkpoint, args.trajectories, args.seed, log=log,
-            train=read_logs(checkpoint.scenario, args.train), seeds=range(args.contest),
-            progress=not args.quiet and sys.stderr.isatty(), engine=args.engine,
+            train=read_logs(checkpoint.scenario, args.train), name=Path(path).stem,
+            seeds=range(args.contest), progress=not args.quiet and sys.stderr.isatty(),
+            engine=args.engine,
         )  # fmt: skip
-        print(f"{checkpoint.scenario.name}, {checkpoint.system}: {text}")
+        print(f"{Path(path).stem}, {checkpoint.system}: {text}")
     print(f"report written to {report.write().with_suffix('.html')}")
     return 0

@@ -19,6 +19,9 @@ from difffilter.stress import CONDITIONS, Grid, Stressed
 
 __all__ = ["autocorrelation", "consistency_figure", "grid_figure", "stress_figure"]
 
+#: Consistency below this looks like this: a start that is known for sure.
+LOWEST = 0.05
+
 
 def consistency_figure(log: Log, tracks: Mapping[str, Track]) -> Figure:
     """Mean NEES per state and NIS per channel over time, and the innovations' autocorrelation.
@@ -52,6 +55,7 @@ def consistency_figure(log: Log, tracks: Mapping[str, Track]) -> Figure:
         ax.axhspan(1.0 - half, 1.0 + half, color=COLOURS["clairvoyant"], alpha=0.25, linewidth=0)
         ax.axhline(1.0, color=COLOURS["truth"], linewidth=0.6)
         plain_log(ax, "y")
+        ax.set_ylim(bottom=max(ax.get_ylim()[0], LOWEST))
         ax.set_xlabel("time (s)")
         ax.set_ylabel(name)
         ax.legend(frameon=False)

@@ -81,8 +81,13 @@ class Scenario:
     """Everything that a scenario file says, validated.
 
     Attributes:
+        name, title, source, notes: as in the file; path: where it was found.
         document: the file's contents with inheritance and overrides applied.
+        axes: components of the position.
         world: None for a scenario of recorded logs.
+        sensors, faults, systems: by name; motion, start: what all systems share.
+        parameters: declarations by component and name.
+        tuning: settings of ``[tuning]``; scenes: of ``[[scenes]]``.
         score: which rows count.
         inputs: columns of known inputs in logs, the sensors' platform among them.
         runs: overrides for recorded runs, by the log file's stem.
@@ -141,7 +146,11 @@ class Scenario:
         return found
 
     def with_overrides(self, overrides: Mapping[str, Any]) -> Scenario:
-        """The same scenario with dotted keys overridden, checked like the file itself."""
+        """The same scenario with dotted keys overridden, checked like the file itself.
+
+        Raises:
+            InputError: names the key, what was found and what was expected.
+        """
         return read_scenario(apply_overrides(dict(self.document), overrides), self.path)
 
 
