@@ -164,7 +164,7 @@ def write_index(folder: Path) -> Path:
 
 def write_page(folder: Path) -> None:
     """All verdicts and reports in one HTML page that stands alone, what to do first."""
-    links, bodies, rows = [], [], []
+    links, bodies, short = [], [], []
     for name in EXPERIMENTS:
         parts = [folder / name / part for part in ("verdict", "verdict-recorded", ".")]
         parts = [part for part in parts if (part / "report.html").is_file()]
@@ -174,12 +174,14 @@ def write_page(folder: Path) -> None:
         bodies.append(f'<h1 id="{name}">{name}</h1>')
         for part in parts:
             found = json.loads((part / "report.json").read_text())["verdicts"]
-            rows += [[case, *text.partition(".")[::2]] for case, text in found.items()]
+            for case, text in found.items():
+                advice, _, why = text.partition(".")
+                short.append(page.paragraph(f"**{case}: {advice}.** {why.strip()}"))
             whole = (part / "report.html").read_text(encoding="utf-8")
             bodies.append(whole.partition(page.START)[2].partition(page.END)[0])
     body = [f"<nav>{' '.join(links)}</nav>"]
-    if rows:
-        body += ["<h2>In short</h2>", page.table(["scenario, system", "advice", "why"], rows)]
+    if short:
+        body += ["<h2>In short</h2>", *short]
     path = folder / "index.html"
     write_atomically(path, page.page("Published against tuned", [*body, *bodies]))
 
