@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from browser import SCREENS, chromium, faults_on_paper, faults_on_screen, launched, opened
 from cli_helpers import succeeds
+from helpers import training_script
 from matplotlib.figure import Figure
 
 from difffilter import page
@@ -44,12 +44,10 @@ def verdict(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def joined(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of all experiments, joined from reports made here."""
     folder = tmp_path_factory.mktemp("joined")
-    spec = importlib.util.spec_from_file_location("reproduce", ROOT / "training" / "reproduce.py")
-    reproduce = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(reproduce)
+    reproduce = training_script("reproduce")
     for name in list(reproduce.EXPERIMENTS)[:3]:
         wide_report(folder / name)
-    reproduce.write_page(folder)
+    reproduce.write_index(folder)
     return folder / "index.html"
 
 

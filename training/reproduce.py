@@ -17,13 +17,13 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 from common import recordings
 from tqdm import tqdm
 
 from difffilter import page
-from difffilter.files import write_atomically
+from difffilter.files import json_text, write_atomically
 from difffilter.report import HELD
 
 HERE = Path(__file__).resolve().parent
@@ -142,48 +142,52 @@ def drive(command: list[str], log: TextIO, bar: tqdm) -> int:
 
 
 def write_index(folder: Path) -> Path:
-    """Links to every experiment's report, and its claims."""
-    lines = ["# Reports", ""]
-    for name in EXPERIMENTS:
-        path = folder / name / "report.json"
-        if not path.is_file():
-            lines += [f"- {name}: no report (recordings absent, or the run failed)"]
-            continue
-        claims = json.loads(path.read_text())["claims"]
-        held, missed, unknown = (sum(c["held"] is x for c in claims) for x in (True, False, None))
-        lines += [
-            f"- [{name}]({name}/report.md): {held} of {held + missed} claims held, "
-            f"{unknown} cannot be checked"
-        ]
-        lines += [f"  - {HELD[c['held']]}: {c['claim']}" for c in claims if c["held"] is False]
-    index = folder / "README.md"
-    index.write_text("\n".join(lines) + "\n")
-    write_page(folder)
-    return index
-
-
-def write_page(folder: Path) -> None:
-    """All verdicts and reports in one HTML page that stands alone, what to do first."""
-    links, bodies, short = [], [], []
+    """What to do about each scenario, and the claims: README.md, index.json, index.html."""
+    links, bodies, lines = [], [], []
+    advised: dict[str, str] = {}
+    claimed: dict[str, list[dict[str, Any]]] = {}
     for name in EXPERIMENTS:
         parts = [folder / name / part for part in ("verdict", "verdict-recorded", ".")]
-        parts = [part for part in parts if (part / "report.html").is_file()]
+        parts = [part for part in parts if (part / "report.json").is_file()]
         if not parts:
+            lines += [f"- {name}: no report (recordings absent, or the run failed)"]
             continue
         links.append(f'<a href="#{name}">{name}</a>')
         bodies.append(f'<h1 id="{name}">{name}</h1>')
         for part in parts:
-            found = json.loads((part / "report.json").read_text())["verdicts"]
-            for case, text in found.items():
-                advice, _, why = text.partition(".")
-                short.append(page.paragraph(f"**{case}: {advice}.** {why.strip()}"))
+            found = json.loads((part / "report.json").read_text(encoding="utf-8"))
+            advised |= found["verdicts"]
+            claimed.setdefault(name, []).extend(found["claims"])
             whole = (part / "report.html").read_text(encoding="utf-8")
             bodies.append(whole.partition(page.START)[2].partition(page.END)[0])
+        lines += claims_of(name, claimed[name])
+    short = [emphasised(case, text) for case, text in advised.items()]
     body = [f"<nav>{' '.join(links)}</nav>"]
     if short:
-        body += ["<h2>In short</h2>", *short]
+        body += ["<h2>In short</h2>", *map(page.paragraph, short)]
     path = folder / "index.html"
     write_atomically(path, page.page("Published against tuned", [*body, *bodies]))
+    data = json_text({"verdicts": advised, "claims": claimed})
+    write_atomically(folder / "index.json", data + "\n")
+    text = "\n".join(["# Reports", "", *(f"- {line}" for line in short), "", *lines])
+    write_atomically(folder / "README.md", text + "\n")
+    return path
+
+
+def emphasised(case: str, text: str) -> str:
+    """The advice, its first words strong."""
+    advice, _, why = text.partition(".")
+    return f"**{case}: {advice}.** {why.strip()}"
+
+
+def claims_of(name: str, claims: list[dict[str, Any]]) -> list[str]:
+    """How many claims held, and which did not."""
+    held, missed, unknown = (sum(c["held"] is x for c in claims) for x in (True, False, None))
+    first = (
+        f"- [{name}]({name}/report.md): {held} of {held + missed} claims held, "
+        f"{unknown} cannot be checked"
+    )
+    return [first, *(f"  - {HELD[False]}: {c['claim']}" for c in claims if c["held"] is False)]
 
 
 if __name__ == "__main__":
