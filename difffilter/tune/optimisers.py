@@ -227,8 +227,14 @@ class GaussNewton:
                 x.add_(part.reshape(x.shape))
 
     def state(self) -> dict[str, Any]:
-        return {"damping": self.damping, "growth": self.growth, "converged": self.converged}
+        return {
+            "damping": self.damping,
+            "growth": self.growth,
+            "converged": self.converged,
+            "last": None if self.last is None else self.last._asdict(),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         self.damping, self.growth = state["damping"], state["growth"]
+        self.last = None if state["last"] is None else Expansion(**state["last"])
         self.converged = state["converged"]
