@@ -74,7 +74,7 @@ def main() -> int:
             rows.append([run, "robust", f"tuned: {name}", row.rmse, row.nees_per_state, *values])
             if name == BEST:
                 rotated[run] = result.checkpoint
-                df.save(result.checkpoint, options.out / f"without-{run}.json")
+                df.save(result.checkpoint, options.out / f"uwb-ranges-without-{run}.json")
                 draw(report, run, test, result.checkpoint)
 
     stages.next("tuned on all four runs")
