@@ -7,11 +7,12 @@ from difffilter.adaptation import (
     PredictionCorrection,
     StrongTracking,
 )
-from difffilter.belief import Belief, Measurement, Record, belief
-from difffilter.checkpoint import Checkpoint, load, save
-from difffilter.compare import Comparison, compare
-from difffilter.condition import condition
-from difffilter.credibility import Credibility
+from difffilter.adaptation.credibility import Credibility
+from difffilter.adaptation.trust import trust_gap
+from difffilter.comparison.comparison import Comparison, compare
+from difffilter.comparison.optimality import FSP, fsp, fsp_surface, ratio_gain
+from difffilter.core.beliefs import Belief, Measurement, Record, belief
+from difffilter.core.conditioning import condition
 from difffilter.errors import (
     CheckpointError,
     DifffilterError,
@@ -19,33 +20,33 @@ from difffilter.errors import (
     LogError,
     NonFiniteError,
 )
-from difffilter.estimate import estimate, started
-from difffilter.federation import Federation
-from difffilter.filter import Filter
-from difffilter.fsp import FSP, fsp, fsp_surface, ratio_gain
-from difffilter.fusion import Fusion
-from difffilter.gate import Gate
-from difffilter.log import Log, Start, stack_logs
-from difffilter.logfile import read_log, write_log
-from difffilter.metrics import Score, nees, rejected, rmse
-from difffilter.motion import ConstantVelocity, CoordinatedTurn, FunctionMotion
-from difffilter.parameters import Parameter, ParameterSet
-from difffilter.recorded import load_logs
-from difffilter.recovery import Recovery
-from difffilter.run import Track, run
+from difffilter.filters.filter import Filter
+from difffilter.filters.fusion import Fusion
+from difffilter.filters.stepping import step
+from difffilter.logs.log import Log, Start, stack_logs
+from difffilter.logs.logfile import read_log, write_log
+from difffilter.logs.track import Track
+from difffilter.motions.blocks import ConstantVelocity, CoordinatedTurn, FunctionMotion
+from difffilter.parameters.parameters import Parameter, ParameterSet
+from difffilter.robust.federation import Federation
+from difffilter.robust.gate import Gate
+from difffilter.robust.recovery import Recovery
+from difffilter.running.batch import run
+from difffilter.running.tracker import Tracker
+from difffilter.scenario.checkpoint import Checkpoint, load, save
 from difffilter.scenario.document import scenario_names
+from difffilter.scenario.estimation import estimate, started
+from difffilter.scenario.recorded import load_logs
 from difffilter.scenario.scenario import Scenario, load_scenario
-from difffilter.sensor import FunctionSensor, wrap
-from difffilter.sensors import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
-from difffilter.simulate import simulate
-from difffilter.start import from_measurements
-from difffilter.step import step
-from difffilter.tracker import Tracker
-from difffilter.triangulate import from_bearings
-from difffilter.trust import trust_gap
-from difffilter.tune.loop import TuneResult, tune
-from difffilter.tune.settings import TuneSettings
-from difffilter.weights import (
+from difffilter.scenario.settings import TuneSettings
+from difffilter.scenario.simulation import simulate
+from difffilter.scoring.metrics import Score, nees, rejected, rmse
+from difffilter.sensors.builtin import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
+from difffilter.sensors.sensor import FunctionSensor, wrap
+from difffilter.start.bearings import from_bearings
+from difffilter.start.measurements import from_measurements
+from difffilter.tuning.loop import TuneResult, tune
+from difffilter.weights.registry import (
     WEIGHTS,
     Weight,
     barron,

@@ -11,10 +11,10 @@ from helpers import assert_close
 from torch import Tensor
 
 from difffilter import Filter, Log, load_scenario, simulate, started
-from difffilter.losses import LossContext
-from difffilter.metrics import position_error
-from difffilter.objective import objective
-from difffilter.run import run
+from difffilter.running.batch import run
+from difffilter.running.objectives import objective
+from difffilter.scoring.losses import LossContext
+from difffilter.scoring.metrics import position_error
 
 #: Losses that are mixed, so that no term hides behind another.
 LOSSES = {"position": 1.0, "likelihood": 0.3, "consistency": 0.5, "innovation-consistency": 0.2}

@@ -9,13 +9,13 @@ import torch
 from helpers import STATIONS, Array, tensor
 from torch import Tensor
 
-from difffilter.credibility import Credibility
-from difffilter.filter import Filter
-from difffilter.log import Log, Start
-from difffilter.motion import ConstantVelocity
-from difffilter.parameters import Values
-from difffilter.sensor import FunctionSensor, Inputs
-from difffilter.sensors import TDOA, Position, Range
+from difffilter.adaptation.credibility import Credibility
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.builtin import TDOA, Position, Range
+from difffilter.sensors.sensor import FunctionSensor, Inputs
 
 MOTION = ConstantVelocity(2, acceleration=(2.0, 6.0))
 P0 = (5.0, 4.0, 2.0, 3.0)

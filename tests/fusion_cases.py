@@ -17,13 +17,13 @@ from difffilter.adaptation import (
     PredictionCorrection,
     StrongTracking,
 )
-from difffilter.filter import Filter
-from difffilter.fusion import Fusion
-from difffilter.log import Log, Start
-from difffilter.motion import ConstantVelocity
-from difffilter.parameters import Values
-from difffilter.sensors import Position
-from difffilter.weights import Weight, huber, plain
+from difffilter.filters.filter import Filter
+from difffilter.filters.fusion import Fusion
+from difffilter.logs.log import Log, Start
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.builtin import Position
+from difffilter.weights.registry import Weight, huber, plain
 
 SCENES = ("manoeuvre-fusion-1", "manoeuvre-fusion-2")
 P0 = np.diag([50.0, 50.0, 10.0, 10.0])

@@ -7,10 +7,10 @@ from helpers import MOTION, Array, random_spd, tensor, textbook_predict
 from oracles import groups as oracle
 from torch import Tensor
 
-from difffilter.belief import Belief
-from difffilter.filter import Filter
-from difffilter.parameters import as_number
-from difffilter.sensor import FunctionSensor
+from difffilter.core.beliefs import Belief
+from difffilter.filters.filter import Filter
+from difffilter.parameters.parameters import as_number
+from difffilter.sensors.sensor import FunctionSensor
 
 NAN = np.nan
 _rng = np.random.default_rng(11)

@@ -15,13 +15,13 @@ from oracles import kinematics, textbook
 from oracles.airport import RECEIVERS
 from torch import Tensor
 
-from difffilter.belief import Belief, Measurement, Record, belief
-from difffilter.filter import Filter
-from difffilter.motion import ConstantVelocity
-from difffilter.parameters import Values
-from difffilter.sensor import FunctionSensor
-from difffilter.sensors import TDOA
-from difffilter.step import step
+from difffilter.core.beliefs import Belief, Measurement, Record, belief
+from difffilter.filters.filter import Filter
+from difffilter.filters.stepping import step
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.builtin import TDOA
+from difffilter.sensors.sensor import FunctionSensor
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def one(filter: Filter, state: Belief, z: Tensor, dt: float = 0.5) -> tuple[Beli
 
 def training_script(name: str) -> ModuleType:
     """A script of training/, imported with its folder on the path."""
-    folder = Path(__file__).parent.parent / "training"
+    folder = Path(__file__).parents[1] / "training"
     sys.path.insert(0, str(folder))
     try:
         spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")

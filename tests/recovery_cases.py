@@ -6,13 +6,13 @@ import torch
 from helpers import linear_filter, tensor
 from torch import Tensor
 
-from difffilter.belief import Belief
-from difffilter.filter import Filter
-from difffilter.gate import Gate
-from difffilter.log import Log, Start
-from difffilter.motion import ConstantVelocity
-from difffilter.recovery import STREAK, Recovery
-from difffilter.sensors import Position
+from difffilter.core.beliefs import Belief
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.robust.gate import Gate
+from difffilter.robust.recovery import STREAK, Recovery
+from difffilter.sensors.builtin import Position
 
 ROWS, JUMP, AT = 120, 100.0, 30
 TRUTH = JUMP * (torch.arange(ROWS) >= AT).double()

@@ -11,13 +11,13 @@ from oracles import airport
 from torch import Tensor
 
 from difffilter.baselines import InnovationScaling
-from difffilter.filter import Filter
-from difffilter.gate import Gate
-from difffilter.log import Log, Start
-from difffilter.motion import ConstantVelocity
-from difffilter.sensor import Inputs, Noise
-from difffilter.sensors import TDOA
-from difffilter.weights import huber, igg3, imq, tanh
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.robust.gate import Gate
+from difffilter.sensors.builtin import TDOA
+from difffilter.sensors.sensor import Inputs, Noise
+from difffilter.weights.registry import huber, igg3, imq, tanh
 
 SIGMA = 3.0
 MOTION = ConstantVelocity(2, acceleration=(2.0, 6.0))

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from helpers import tensor
 
-from difffilter.log import Log
-from difffilter.logfile import write_log
-from difffilter.recorded import load_logs, scenario_of_run
+from difffilter.logs.log import Log
+from difffilter.logs.logfile import write_log
+from difffilter.scenario.recorded import load_logs, scenario_of_run
 from difffilter.scenario.scenario import Scenario, load_scenario
 
 #: Settings that every test starts from: seconds become tenths.

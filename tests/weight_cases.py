@@ -5,7 +5,7 @@ from __future__ import annotations
 from helpers import tensor
 from torch import Tensor
 
-from difffilter.weights import WEIGHTS, Weight
+from difffilter.weights.registry import WEIGHTS, Weight
 
 NAMES = tuple(WEIGHTS)
 #: All but the one without parameters.

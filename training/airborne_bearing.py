@@ -19,7 +19,7 @@ from common import QUICK, Stages, arguments, checkpoint_path, values_table
 from papers import contents
 
 import difffilter as df
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 #: The multipath variant's drift, without multipath.
 QUIET = {"faults.multipath.probability": 0.0}

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import difffilter as df
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 #: The paper's RMSE in m under NLOS.
 QUOTED = {"ekf": 7.0, "m-ekf": 5.0}

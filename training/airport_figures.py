@@ -10,9 +10,9 @@ from airport_claims import SAYS
 from airport_tables import WORLDS, nlos
 
 import difffilter as df
-from difffilter.figures.curves import curves_figure
-from difffilter.metrics import position_error
-from difffilter.report import Report
+from difffilter.reports.figures.curves import curves_figure
+from difffilter.reports.report import Report
+from difffilter.scoring.metrics import position_error
 
 #: Panels of a figure: title to x values and a curve per system.
 Panels = dict[str, tuple[Any, dict[str, list[float]]]]

@@ -17,7 +17,7 @@ from common import QUICK, Stages, arguments, checkpoint_path, values_table
 from papers import contents
 
 import difffilter as df
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 LITERAL_50 = {"faults.nlos.scale": 50.0}
 VARIANTS = ("huber", "m-ekf", "m-ekf-all-rows", "m-ekf-mad")

@@ -8,7 +8,7 @@ from typing import Any
 from airport_claims import SAYS, judge_mad
 
 import difffilter as df
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 #: RMSE in m that a prototype of the published filters gave with 100 runs (N_L in ns, p).
 COLUMNS = ("ekf", "huber", "m-ekf", "m-ekf-all-rows", "m-ekf-mad")

@@ -9,9 +9,9 @@ from airport_claims import SAYS
 from airport_tables import WORLDS
 
 import difffilter as df
-from difffilter.figures.style import COLOURS, axes_grid
-from difffilter.figures.tracks import track_figure
-from difffilter.report import Report
+from difffilter.reports.figures.style import COLOURS, axes_grid
+from difffilter.reports.figures.tracks import track_figure
+from difffilter.reports.report import Report
 
 FIELD = (
     "The field: receivers and runway A, 8 receivers, number 1 the reference; coordinates are "

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 if TYPE_CHECKING:
     from bearing_tables import Curves

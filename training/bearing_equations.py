@@ -7,7 +7,7 @@ import math
 import torch
 
 import difffilter as df
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 #: The emitter, m.
 PLACE = (5000.0, 10000.0)

@@ -9,9 +9,9 @@ from bearing_claims import SAYS
 from torch import Tensor
 
 import difffilter as df
-from difffilter.figures.curves import curves_figure
-from difffilter.metrics import position_error
-from difffilter.report import Report
+from difffilter.reports.figures.curves import curves_figure
+from difffilter.reports.report import Report
+from difffilter.scoring.metrics import position_error
 
 AT = (10, 20, 50, 95, 105, 112, 129, 131, 141, 161, 199)
 #: Specification 1: position RMSE in m at those seconds, 2000 runs of a prototype.

@@ -8,7 +8,7 @@ from typing import Any
 from manoeuvre_tables import Errors
 from torch import Tensor
 
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 Scene = dict[str, Errors]
 Verdict = tuple[bool, dict[str, Any]]

@@ -19,7 +19,7 @@ from manoeuvre_tables import Errors, errors, figures, gain, reference_table, tra
 from papers import contents
 
 import difffilter as df
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 SCENES = ("manoeuvre-fusion-1", "manoeuvre-fusion-2")
 POOLED = ("srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf")

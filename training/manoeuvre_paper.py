@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 if TYPE_CHECKING:
     from manoeuvre_tables import Errors

@@ -10,10 +10,10 @@ from manoeuvre_paper import SAYS
 from torch import Tensor
 
 import difffilter as df
-from difffilter.figures.curves import curves_figure
-from difffilter.figures.style import COLOURS, axes_grid
-from difffilter.metrics import bootstrap_indices, mean_nees, scored_rows
-from difffilter.report import Report
+from difffilter.reports.figures.curves import curves_figure
+from difffilter.reports.figures.style import COLOURS, axes_grid
+from difffilter.reports.report import Report
+from difffilter.scoring.metrics import bootstrap_indices, mean_nees, scored_rows
 
 #: Specification 4, 200 runs: mean RMSE in m of x and y in scene 1, in scene 2, and in scene 2
 #: without 10 to 20 s, averaged over x and y.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 __all__ = ["contents"]
 

@@ -24,8 +24,8 @@ from docs_tables import (
 )
 from matplotlib.axes import Axes
 
-from difffilter.figures.style import COLOURS, axes_grid, save_figure
-from difffilter.figures.weights import weights_figure
+from difffilter.reports.figures.style import COLOURS, axes_grid, save_figure
+from difffilter.reports.figures.weights import weights_figure
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / "docs" / "images"

@@ -22,9 +22,9 @@ from typing import Any, TextIO
 from common import recordings
 from tqdm import tqdm
 
-from difffilter import page
 from difffilter.files import json_text, write_atomically
-from difffilter.report import HELD
+from difffilter.reports import page
+from difffilter.reports.report import HELD
 
 HERE = Path(__file__).resolve().parent
 EXPERIMENTS = {

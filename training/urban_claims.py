@@ -7,9 +7,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from difffilter.fsp import FSP
-from difffilter.metrics import bootstrap_indices
-from difffilter.report import Report
+from difffilter.comparison.optimality import FSP
+from difffilter.reports.report import Report
+from difffilter.scoring.metrics import bootstrap_indices
 
 #: Table 1 of paper 2: FSP in m, by scene; algorithms 1, 2, 3.
 PAPER = {

@@ -21,8 +21,8 @@ from urban_tables import error_figure, fsp_figure, table_1, variants
 from urban_traps import trust_traps
 
 import difffilter as df
-from difffilter.fsp import fsp, ratio_gain
-from difffilter.report import Report
+from difffilter.comparison.optimality import fsp, ratio_gain
+from difffilter.reports.report import Report
 
 
 def main() -> None:

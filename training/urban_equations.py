@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 #: Measurement variances of the two systems, m^2, and the time step, s.
 NOISE = (9.0, 25.0)

@@ -6,11 +6,11 @@ import torch
 from urban_claims import PAPER, SAYS
 
 import difffilter as df
-from difffilter.figures.curves import curves_figure
-from difffilter.figures.surface import surface_figure
-from difffilter.fsp import FSP, fsp, fsp_surface
-from difffilter.metrics import position_error
-from difffilter.report import Report
+from difffilter.comparison.optimality import FSP, fsp, fsp_surface
+from difffilter.reports.figures.curves import curves_figure
+from difffilter.reports.figures.surface import surface_figure
+from difffilter.reports.report import Report
+from difffilter.scoring.metrics import position_error
 
 ALGORITHM = {"standard": "1", "credibility": "2", "ideal": "3"}
 

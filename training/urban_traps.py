@@ -5,10 +5,10 @@ from __future__ import annotations
 import torch
 from urban_claims import SAYS
 
-from difffilter.figures.curves import curves_figure
-from difffilter.figures.surface import surface_figure
-from difffilter.report import Report
-from difffilter.trust import credibility_share, trap_width, trust_gap
+from difffilter.adaptation.trust import credibility_share, trap_width, trust_gap
+from difffilter.reports.figures.curves import curves_figure
+from difffilter.reports.figures.surface import surface_figure
+from difffilter.reports.report import Report
 
 
 def trust_traps(report: Report) -> None:

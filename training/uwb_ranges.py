@@ -21,8 +21,8 @@ from uwb_tables import RUNS
 from uwb_transfer import logs, transfer
 
 import difffilter as df
-from difffilter.figures.tracks import track_figure
-from difffilter.report import Report
+from difffilter.reports.figures.tracks import track_figure
+from difffilter.reports.report import Report
 
 LOSSES = {
     "squared error": {"position": 1.0},

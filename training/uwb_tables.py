@@ -10,8 +10,8 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 
 import difffilter as df
-from difffilter.figures.style import axes_grid
-from difffilter.report import Report
+from difffilter.reports.figures.style import axes_grid
+from difffilter.reports.report import Report
 
 RUNS = ("los_A1", "los_A2", "nlos_A1", "nlos_A2")
 SIMULATED, SQUARED = "simulation", "simulation, squared error alone"

@@ -24,7 +24,7 @@ from uwb_tables import (
 )
 
 import difffilter as df
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 
 def logs(scenario: df.Scenario, options: Namespace, runs: Sequence[str]) -> df.Log:

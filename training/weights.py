@@ -14,8 +14,8 @@ from typing import Any
 from common import QUICK, Stages, arguments
 
 import difffilter as df
-from difffilter.figures.weights import weights_figure
-from difffilter.report import Report
+from difffilter.reports.figures.weights import weights_figure
+from difffilter.reports.report import Report
 
 #: An emitter that hardly drifts, as the filter knows: the bearings' noise decides the errors.
 STEADY = {"world.acceleration.sigma": 0.002, "parameters.motion.acceleration.value": 0.002}

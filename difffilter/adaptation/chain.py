@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from difffilter.adaptation.passive import Memory
-from difffilter.condition import Conditioned
+from difffilter.adaptation.protocol import Adaptation
+from difffilter.core.equations import Conditioned
+from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
-from difffilter.linearised import Adaptation, Linearised
-from difffilter.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter, Values
 
 __all__ = ["Chain"]
 

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from difffilter.adaptation.matching import BEFORE
 from difffilter.adaptation.passive import Memory, Passive, innovation_variance, jacobian
-from difffilter.constraints import Positive
-from difffilter.linearised import Linearised
-from difffilter.parameters import Parameter, Values
-from difffilter.weight import soft_relu
+from difffilter.core.linearised import Linearised
+from difffilter.parameters.constraints import Positive
+from difffilter.parameters.parameters import Parameter, Values
+from difffilter.weights.weight import soft_relu
 
 __all__ = ["PredictionCorrection", "corrected", "excess"]
 

@@ -8,12 +8,13 @@ import torch
 from torch import Tensor
 
 from difffilter.adaptation.passive import Memory, Passive, innovation_variance, jacobian
-from difffilter.constraints import Interval, Positive
-from difffilter.linalg import compress, square_norms
-from difffilter.linearised import Linearised
-from difffilter.parameters import Parameter, Values
-from difffilter.weight import Weight
-from difffilter.weights import plain
+from difffilter.core.compression import compress
+from difffilter.core.linalg import square_norms
+from difffilter.core.linearised import Linearised
+from difffilter.parameters.constraints import Interval, Positive
+from difffilter.parameters.parameters import Parameter, Values
+from difffilter.weights.registry import plain
+from difffilter.weights.weight import Weight
 
 __all__ = ["MultipleFading", "StrongTracking"]
 

@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from difffilter.adaptation.passive import Memory, Passive, innovation_variance
-from difffilter.constraints import Interval, Positive
+from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
-from difffilter.linearised import Linearised
-from difffilter.parameters import Parameter, Values
+from difffilter.parameters.constraints import Interval, Positive
+from difffilter.parameters.parameters import Parameter, Values
 
 __all__ = ["BEFORE", "FLAG", "MATCHED", "InnovationMatching"]
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from difffilter.condition import Conditioned
-from difffilter.cubature import halves
-from difffilter.linalg import square_norms
-from difffilter.linearised import Linearised
-from difffilter.parameters import Parameter, Values
+from difffilter.core.cubature import halves
+from difffilter.core.equations import Conditioned
+from difffilter.core.linalg import square_norms
+from difffilter.core.linearised import Linearised
+from difffilter.parameters.parameters import Parameter, Values
 
 __all__ = ["Memory", "Passive", "innovation_variance", "jacobian"]
 

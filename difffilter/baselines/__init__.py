@@ -1,6 +1,6 @@
 """Estimators to compare with: without memory, on Chan's solution, or with adapted noise."""
 
-from difffilter.baselines.adaptive import InnovationScaling
+from difffilter.adaptation.scaling import InnovationScaling
 from difffilter.baselines.bearing_lines import BearingLeastSquares
 from difffilter.baselines.chan import ChanLeastSquares, chan
 from difffilter.baselines.chan_ekf import ChanEKF

@@ -9,14 +9,14 @@ from torch import Tensor
 from tqdm import tqdm
 
 from difffilter.baselines.least_squares import Snapshot, check_channels
+from difffilter.core.linalg import semidefinite_cholesky
 from difffilter.errors import InputError
-from difffilter.linalg import semidefinite_cholesky
-from difffilter.log import Log, Start
-from difffilter.parameters import Values
-from difffilter.run import Track
-from difffilter.sensor import wrap
-from difffilter.start_rows import flatten
-from difffilter.triangulate import Lines, crossing, lines, the_bearing
+from difffilter.logs.log import Log, Start
+from difffilter.logs.track import Track
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.sensor import wrap
+from difffilter.start.bearings import Lines, crossing, lines, the_bearing
+from difffilter.start.rows import flatten
 
 __all__ = ["BearingLeastSquares"]
 

@@ -8,14 +8,14 @@ import torch
 from torch import Tensor
 
 from difffilter.baselines.least_squares import Snapshot
+from difffilter.core.linalg import positive_sqrt
 from difffilter.errors import InputError
-from difffilter.gauss_newton import Fix
-from difffilter.information import Information, covariance_factor
-from difffilter.linalg import positive_sqrt
-from difffilter.log import Log, Start
-from difffilter.parameters import Values
-from difffilter.sensor import Sensor
-from difffilter.sensors import TDOA
+from difffilter.logs.log import Log, Start
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.builtin import TDOA
+from difffilter.sensors.information import Information, covariance_factor
+from difffilter.sensors.sensor import Sensor
+from difffilter.start.fit import Fix
 
 __all__ = ["ChanLeastSquares", "chan", "range_differences", "the_tdoa"]
 

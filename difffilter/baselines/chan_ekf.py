@@ -10,18 +10,19 @@ from torch import Tensor
 
 from difffilter.baselines.chan import chan, range_differences, the_tdoa
 from difffilter.baselines.least_squares import Snapshot, check_channels
-from difffilter.constraints import Positive
 from difffilter.errors import InputError
-from difffilter.filter import Filter
-from difffilter.gauss_newton import Fix
-from difffilter.information import Information
-from difffilter.log import Log, Start
-from difffilter.motion import ConstantVelocity
-from difffilter.parameters import Number, Parameter, Values, check_values
-from difffilter.run import Track, run, start_belief
-from difffilter.sensor import Inputs, Noise
-from difffilter.sensors import Position, PositionSensor
-from difffilter.start import from_measurements
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.logs.track import Track
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.parameters.constraints import Positive
+from difffilter.parameters.parameters import Number, Parameter, Values, check_values
+from difffilter.running.batch import run, start_belief
+from difffilter.sensors.builtin import Position, PositionSensor
+from difffilter.sensors.information import Information
+from difffilter.sensors.sensor import Inputs, Noise
+from difffilter.start.fit import Fix
+from difffilter.start.measurements import from_measurements
 
 __all__ = ["ChanEKF"]
 

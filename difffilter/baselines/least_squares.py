@@ -10,14 +10,20 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.gauss_newton import Fix, gauss_newton
-from difffilter.log import Log, Start
-from difffilter.motion import AXES
-from difffilter.parameters import Parameter, Values, check_values, declare, published_values
-from difffilter.run import Track
-from difffilter.sensor import Sensor
-from difffilter.start import from_measurements
-from difffilter.weights import Weight, plain
+from difffilter.logs.log import Log, Start
+from difffilter.logs.track import Track
+from difffilter.motions.blocks import AXES
+from difffilter.parameters.parameters import (
+    Parameter,
+    Values,
+    check_values,
+    declare,
+    published_values,
+)
+from difffilter.sensors.sensor import Sensor
+from difffilter.start.fit import Fix, gauss_newton
+from difffilter.start.measurements import from_measurements
+from difffilter.weights.registry import Weight, plain
 
 __all__ = ["Snapshot", "TaylorLeastSquares", "gauss_newton"]
 
@@ -119,12 +125,13 @@ class TaylorLeastSquares(Snapshot):
         iterations: steps per row.
 
     Each row starts at the position of ``start``, else of the log's start, else of
-    :func:`difffilter.start.from_measurements` (an error if no row determines a position).
+    :func:`difffilter.start.measurements.from_measurements`
+    (an error if no row determines a position).
 
     Example:
         >>> import torch
-        >>> from difffilter.log import Log
-        >>> from difffilter.sensors import Range
+        >>> from difffilter.logs.log import Log
+        >>> from difffilter.sensors.builtin import Range
         >>> ranges = Range(stations=[(0, 0), (10, 0), (0, 10)], channels=("a", "b", "c"))
         >>> log = Log(("a", "b", "c"), torch.zeros(1), torch.tensor([[5.0, 8.062, 6.708]]))
         >>> TaylorLeastSquares((ranges,)).estimate(log).mean.round(decimals=2)

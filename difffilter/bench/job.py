@@ -11,14 +11,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from difffilter.belief import Belief
-from difffilter.filter import Filter
-from difffilter.log import Log, Start
-from difffilter.motion import ConstantVelocity
-from difffilter.objective import objective
-from difffilter.run import start_belief
-from difffilter.sensors import TDOA
-from difffilter.weights import imq, tanh
+from difffilter.core.beliefs import Belief
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.running.batch import start_belief
+from difffilter.running.objectives import objective
+from difffilter.sensors.builtin import TDOA
+from difffilter.weights.registry import imq, tanh
 
 __all__ = ["DT", "FUSED", "IMQ", "M_EKF", "PLAIN", "STATIONS", "TASKS", "TORCH"]
 __all__ += ["Array", "Contender", "Task", "own", "problem", "task"]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from difffilter.bench.job import DT, FUSED, IMQ, PLAIN, TORCH, problem, task
-from difffilter.tracker import Tracker
+from difffilter.running.tracker import Tracker
 
 __all__ = ["latencies"]
 

@@ -10,7 +10,7 @@ from difffilter.bench.claims import claims
 from difffilter.bench.findings import AIRPORT, KINDS, Findings
 from difffilter.bench.measure import AGREEMENT
 from difffilter.bench.sizes import Sizes
-from difffilter.report import Report
+from difffilter.reports.report import Report
 
 __all__ = ["write"]
 

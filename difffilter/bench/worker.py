@@ -50,9 +50,9 @@ def _library_task(filter: str) -> Callable[[], object]:
     import torch
 
     from difffilter.bench.job import TASKS, own, problem, task
-    from difffilter.objective import objective
+    from difffilter.running.objectives import objective
     from difffilter.scenario.scenario import load_scenario
-    from difffilter.simulate import simulate
+    from difffilter.scenario.simulation import simulate
 
     if filter in TASKS:
         one = own(task(filter, problem(2, 2)), "fused")
@@ -76,7 +76,7 @@ def _library_task(filter: str) -> Callable[[], object]:
 def tuning(scenario: str, settings: dict[str, Any]) -> dict[str, float]:
     """Seconds to tune, the compiled steps being in the cache; loss before and after."""
     from difffilter.scenario.scenario import load_scenario
-    from difffilter.tune.loop import tune
+    from difffilter.tuning.loop import tune
 
     recipe = load_scenario(scenario)
     tune(recipe, settings=SMALL, engine="fused")

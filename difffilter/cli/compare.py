@@ -13,7 +13,7 @@ from difffilter.errors import InputError
 from difffilter.files import json_text, write_atomically
 
 if TYPE_CHECKING:
-    from difffilter.checkpoint import Checkpoint
+    from difffilter.scenario.checkpoint import Checkpoint
     from difffilter.scenario.scenario import Scenario
 
 __all__ = ["add"]
@@ -72,7 +72,7 @@ def command(args: Namespace) -> int:
     log = read_logs(scenario, args.log)
     need_log(scenario, log)
 
-    from difffilter.compare import compare
+    from difffilter.comparison.comparison import compare
 
     comparison = compare(
         scenario,

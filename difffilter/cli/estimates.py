@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from difffilter.files import write_atomically
-from difffilter.log import Log
-from difffilter.metrics import Score, isolated, rejected, rmse
-from difffilter.run import Track
+from difffilter.logs.log import Log
+from difffilter.logs.track import Track
+from difffilter.scoring.metrics import Score, isolated, rejected, rmse
 
 __all__ = ["columns", "summary", "write_estimates"]
 

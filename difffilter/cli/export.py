@@ -43,8 +43,8 @@ def command(args: Namespace) -> int:
     if args.name is not None and not re.fullmatch(r"[A-Za-z]\w*", args.name, re.ASCII):
         raise InputError(f"--name: found {args.name!r}, expected ASCII letters, digits, _")
 
-    from difffilter.checkpoint import load
     from difffilter.export.c99 import export_c
+    from difffilter.scenario.checkpoint import load
 
     for path in export_c(load(args.checkpoint), args.out, args.name, args.single):
         print(path)

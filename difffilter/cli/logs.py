@@ -10,7 +10,7 @@ from difffilter.cli.output import note
 from difffilter.errors import InputError
 
 if TYPE_CHECKING:
-    from difffilter.log import Log
+    from difffilter.logs.log import Log
     from difffilter.scenario.scenario import Scenario
 
 __all__ = ["need_log", "not_clairvoyant", "note_missing_run", "read_logs"]
@@ -18,7 +18,7 @@ __all__ = ["need_log", "not_clairvoyant", "note_missing_run", "read_logs"]
 
 def read_logs(scenario: Scenario, paths: Sequence[str] | None) -> Log | None:
     """The logs as one batch, each with its own run's geometry; None where none are given."""
-    from difffilter.recorded import load_logs
+    from difffilter.scenario.recorded import load_logs
 
     if not paths:
         return None

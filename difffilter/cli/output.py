@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from difffilter.files import json_text
 
 if TYPE_CHECKING:
-    from difffilter.compare import Comparison
+    from difffilter.comparison.comparison import Comparison
     from difffilter.scenario.scenario import Scenario
 
 __all__ = ["comparison_text", "note", "number", "print_json", "table"]

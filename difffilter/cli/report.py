@@ -53,7 +53,7 @@ def add(commands: Commands) -> None:
 
 def command(args: Namespace) -> int:
     """Write the report, print the advice."""
-    from difffilter.checkpoint import load
+    from difffilter.scenario.checkpoint import load
 
     held = [load(path) for path in args.checkpoint]
     if Path(args.out).exists() and not Path(args.out).is_dir():
@@ -66,8 +66,8 @@ def command(args: Namespace) -> int:
         if checkpoint.scenario.world is None and not args.log:
             raise InputError(f"{checkpoint.scenario.name}: has no world, expected --log")
 
-    from difffilter.report import Report
-    from difffilter.verdict_report import verdict
+    from difffilter.reports.report import Report
+    from difffilter.verdict.judge import verdict
 
     settings = {"seed": args.seed, "trajectories": args.trajectories}
     report = Report(args.out, "Verdict: published against tuned", settings)

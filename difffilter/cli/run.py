@@ -21,9 +21,9 @@ from difffilter.cli.values import HELP, read_values, unfit
 from difffilter.errors import InputError
 
 if TYPE_CHECKING:
-    from difffilter.checkpoint import Checkpoint
-    from difffilter.log import Log
-    from difffilter.run import Track
+    from difffilter.logs.log import Log
+    from difffilter.logs.track import Track
+    from difffilter.scenario.checkpoint import Checkpoint
     from difffilter.scenario.scenario import Scenario
 
 __all__ = ["add"]
@@ -85,8 +85,8 @@ def command(args: Namespace) -> int:
     job = _of_run(chosen, args)
 
     from difffilter.cli.estimates import summary, write_estimates
-    from difffilter.estimate import estimate, started
-    from difffilter.recorded import load_logs
+    from difffilter.scenario.estimation import estimate, started
+    from difffilter.scenario.recorded import load_logs
 
     log = load_logs(job.scenario, [args.log])
     system = job.scenario.system(job.system)
@@ -116,7 +116,7 @@ def _job(args: Namespace) -> Job:
     """The scenario, the system and the values that the arguments mean."""
     held: Checkpoint | None
     if Path(args.source).suffix == ".json":
-        from difffilter.checkpoint import load
+        from difffilter.scenario.checkpoint import load
 
         stored = load(args.source)
         changes = overrides(args)
@@ -143,7 +143,7 @@ def _job(args: Namespace) -> Job:
 
 def _of_run(job: Job, args: Namespace) -> Job:
     """The job with the geometry of the log's run."""
-    from difffilter.recorded import scenario_of_run
+    from difffilter.scenario.recorded import scenario_of_run
 
     scenario = job.scenario
     if args.run and args.run not in scenario.runs:
@@ -159,8 +159,8 @@ def _run_name(args: Namespace) -> str:
 
 
 def _plot(path: str, log: Log, track: Track, title: str) -> None:
-    from difffilter.figures.style import save_figure
-    from difffilter.figures.tracks import track_figure
+    from difffilter.reports.figures.style import save_figure
+    from difffilter.reports.figures.tracks import track_figure
 
     save_figure(track_figure(log, track, title=title), path)
 

@@ -12,7 +12,7 @@ from difffilter.cli.output import print_json
 from difffilter.errors import InputError
 
 if TYPE_CHECKING:
-    from difffilter.log import Log
+    from difffilter.logs.log import Log
 
 __all__ = ["add"]
 
@@ -54,8 +54,8 @@ def command(args: Namespace) -> int:
         )
     scenario = load_named(args)
 
-    from difffilter.logfile import write_log
-    from difffilter.simulate import simulate
+    from difffilter.logs.logfile import write_log
+    from difffilter.scenario.simulation import simulate
 
     log = simulate(scenario, args.trajectories, args.seed)
     folder = Path(args.out)

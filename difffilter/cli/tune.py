@@ -24,8 +24,8 @@ from difffilter.cli.output import comparison_text, number, print_json, table
 from difffilter.errors import InputError, RankError
 
 if TYPE_CHECKING:
-    from difffilter.checkpoint import Checkpoint
-    from difffilter.tune.loop import TuneResult
+    from difffilter.scenario.checkpoint import Checkpoint
+    from difffilter.tuning.loop import TuneResult
 
 __all__ = ["add"]
 
@@ -88,8 +88,8 @@ def command(args: Namespace) -> int:
     if log is not None:
         not_clairvoyant(scenario, scenario.tuning.system)
 
-    from difffilter.tune.loop import tune
-    from difffilter.tune.state import state_path
+    from difffilter.tuning.loop import tune
+    from difffilter.tuning.state import state_path
 
     try:
         result = tune(

@@ -9,7 +9,7 @@ from difffilter.errors import InputError
 from difffilter.files import data_folder
 
 if TYPE_CHECKING:
-    from difffilter.checkpoint import Checkpoint
+    from difffilter.scenario.checkpoint import Checkpoint
     from difffilter.scenario.scenario import Scenario
 
 __all__ = ["HELP", "own_checkpoint", "read_values", "unfit"]
@@ -24,7 +24,7 @@ def own_checkpoint(scenario: Scenario) -> Path:
 
 def read_values(label: str, scenario: Scenario) -> Checkpoint | None:
     """The checkpoint behind a label; None for the published values."""
-    from difffilter.checkpoint import load
+    from difffilter.scenario.checkpoint import load
 
     if label == "published":
         return None

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from difffilter.engine.build import compiler
 from difffilter.errors import EngineError, InputError
-from difffilter.log import Rows
+from difffilter.logs.log import Rows
 
 __all__ = ["ENGINES", "eager_seconds", "pick", "with_engine"]
 

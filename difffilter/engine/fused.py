@@ -10,14 +10,14 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from difffilter.belief import Belief, Record
+from difffilter.core.beliefs import Belief, Record
 from difffilter.engine.build import build
 from difffilter.engine.kernels import run_source, sums_source
 from difffilter.engine.trace import Layout, Objective, Traced, trace
 from difffilter.errors import EngineError
-from difffilter.filter import Filter
-from difffilter.log import Rows
-from difffilter.parameters import Values
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Rows
+from difffilter.parameters.parameters import Values
 
 __all__ = ["Job", "Tangents", "forward", "rows_of", "sums", "traced_step"]
 

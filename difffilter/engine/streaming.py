@@ -9,14 +9,14 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from difffilter.belief import Belief, Record
+from difffilter.core.beliefs import Belief, Record
 from difffilter.engine.build import build
 from difffilter.engine.fused import Job, rows_of, traced_step
 from difffilter.engine.kernels import run_source
 from difffilter.errors import EngineError
-from difffilter.filter import Filter
-from difffilter.log import Rows
-from difffilter.parameters import Values
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Rows
+from difffilter.parameters.parameters import Values
 
 __all__ = ["Stream"]
 

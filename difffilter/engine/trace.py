@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from difffilter.belief import Belief, Measurement, Record
+from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.engine.lower import Array, Lowering
 from difffilter.engine.program import Program
-from difffilter.filter import Filter
-from difffilter.log import Rows
-from difffilter.losses import LOSSES, LossContext
-from difffilter.parameters import Values
-from difffilter.run import Track
-from difffilter.step import step
+from difffilter.filters.filter import Filter
+from difffilter.filters.stepping import step
+from difffilter.logs.log import Rows
+from difffilter.logs.track import Track
+from difffilter.parameters.parameters import Values
+from difffilter.scoring.losses import LOSSES, LossContext
 
 __all__ = ["Layout", "Objective", "Traced", "trace"]
 
@@ -98,7 +98,7 @@ class Objective:
     """Losses to trace behind the step.
 
     Attributes:
-        losses: names, see :data:`difffilter.losses.LOSSES`.
+        losses: names, see :data:`difffilter.scoring.losses.LOSSES`.
         context: what they need beside track and log.
         truth_states: names of the true states of a row.
     """

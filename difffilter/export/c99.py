@@ -9,8 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from difffilter.belief import Belief
-from difffilter.checkpoint import Checkpoint
+from difffilter.core.beliefs import Belief
 from difffilter.engine.lower import Lowering
 from difffilter.engine.program import Program
 from difffilter.engine.trace import Layout, Traced, trace
@@ -28,9 +27,10 @@ from difffilter.export.program import (
 from difffilter.export.templates import GOLDEN, HEADER, SOURCE, TEST
 from difffilter.export.words import about, array, comment, frozen_names, frozen_values
 from difffilter.files import write_together
-from difffilter.filter import Filter
-from difffilter.parameters import Values
-from difffilter.station_sensor import StationSensor
+from difffilter.filters.filter import Filter
+from difffilter.parameters.parameters import Values
+from difffilter.scenario.checkpoint import Checkpoint
+from difffilter.sensors.stations import StationSensor
 
 __all__ = ["export_c"]
 

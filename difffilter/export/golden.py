@@ -9,15 +9,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from difffilter.checkpoint import Checkpoint
 from difffilter.errors import InputError
-from difffilter.estimate import started
-from difffilter.filter import Filter
-from difffilter.log import Log, Start
-from difffilter.parameters import Values
-from difffilter.run import Track, run
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.logs.track import Track
+from difffilter.parameters.parameters import Values
+from difffilter.running.batch import run
+from difffilter.scenario.checkpoint import Checkpoint
+from difffilter.scenario.estimation import started
+from difffilter.scenario.simulation import simulate
 from difffilter.seeds import stream
-from difffilter.simulate import simulate
 
 __all__ = ["Golden", "golden"]
 
@@ -120,7 +121,7 @@ def _regular(covariance: Tensor) -> bool:
 
 
 def _root(covariance: Tensor) -> Tensor:
-    from difffilter.linalg import semidefinite_cholesky
+    from difffilter.core.linalg import semidefinite_cholesky
 
     return semidefinite_cholesky(covariance)
 

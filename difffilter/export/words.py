@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 
 from torch import Tensor
 
-from difffilter.checkpoint import Checkpoint
 from difffilter.export.program import identifiers
-from difffilter.filter import Filter
+from difffilter.filters.filter import Filter
+from difffilter.scenario.checkpoint import Checkpoint
 
 __all__ = ["about", "array", "comment", "frozen_names", "frozen_values"]
 

@@ -12,25 +12,25 @@ from difffilter.adaptation import (
     PredictionCorrection,
     StrongTracking,
 )
-from difffilter.baselines.adaptive import InnovationScaling
+from difffilter.adaptation.credibility import Credibility
+from difffilter.adaptation.protocol import Adaptation
+from difffilter.adaptation.scaling import InnovationScaling
 from difffilter.baselines.bearing_lines import BearingLeastSquares
 from difffilter.baselines.chan import ChanLeastSquares
 from difffilter.baselines.chan_ekf import ChanEKF
 from difffilter.baselines.least_squares import TaylorLeastSquares
-from difffilter.credibility import Credibility
 from difffilter.errors import InputError
-from difffilter.filter import Filter
-from difffilter.fusion import Fusion
-from difffilter.gate import Gate
-from difffilter.groups import channel_groups
-from difffilter.linearised import Adaptation
-from difffilter.motion import ConstantVelocity
-from difffilter.parameters import Number
-from difffilter.recovery import Recovery
+from difffilter.filters.filter import Filter
+from difffilter.filters.fusion import Fusion
+from difffilter.motions.blocks import ConstantVelocity
+from difffilter.parameters.parameters import Number
+from difffilter.robust.gate import Gate
+from difffilter.robust.groups import channel_groups
+from difffilter.robust.recovery import Recovery
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.systems import MotionSpec, ParameterSpec, SystemSpec
-from difffilter.sensors import TDOA, PositionSensor
-from difffilter.weights import weight_named
+from difffilter.sensors.builtin import TDOA, PositionSensor
+from difffilter.weights.registry import weight_named
 
 __all__ = ["System", "build_system"]
 

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from difffilter.errors import InputError
-from difffilter.metrics import SCORES, Score
-from difffilter.parameters import Parameter
-from difffilter.position_sensor import Position
+from difffilter.parameters.parameters import Parameter
 from difffilter.scenario.build import System, build_system
 from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
 from difffilter.scenario.faults import Fault, read_fault
 from difffilter.scenario.pooling import pooled_sigma
 from difffilter.scenario.sensing import SensorSpec, read_sensor
+from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.systems import (
     MotionSpec,
     ParameterSpec,
@@ -28,7 +27,8 @@ from difffilter.scenario.systems import (
 from difffilter.scenario.table import Table
 from difffilter.scenario.tuning import read_tuning
 from difffilter.scenario.world import World, read_world
-from difffilter.tune.settings import TuneSettings
+from difffilter.scoring.metrics import SCORES, Score
+from difffilter.sensors.position import Position
 
 __all__ = ["Scenario", "Scene", "StartSpec", "load_scenario"]
 

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 from torch import Generator, Tensor
 
-from difffilter.parameters import Number
+from difffilter.parameters.parameters import Number
 from difffilter.scenario.table import Table
-from difffilter.sensors import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
+from difffilter.sensors.builtin import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
 
 __all__ = ["KINDS", "SensorSpec", "read_sensor"]
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from difffilter.errors import InputError
-from difffilter.filter import RULES, STANDARDISATIONS
-from difffilter.gate import ACTIONS
-from difffilter.groups import DISTANCES, SCOPES, Scope
-from difffilter.motion import NOISES, ConstantVelocity, CoordinatedTurn
-from difffilter.parameters import Number, Parameter, as_number
-from difffilter.recovery import RECOVERIES
+from difffilter.filters.filter import RULES, STANDARDISATIONS
+from difffilter.motions.blocks import NOISES, ConstantVelocity, CoordinatedTurn
+from difffilter.parameters.parameters import Number, Parameter, as_number
+from difffilter.robust.gate import ACTIONS
+from difffilter.robust.groups import DISTANCES, SCOPES, Scope
+from difffilter.robust.recovery import RECOVERIES
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import MEASURES, Table
-from difffilter.weights import WEIGHTS
+from difffilter.weights.registry import WEIGHTS
 
 __all__ = ["MotionSpec", "ParameterSpec", "SystemSpec", "read_system", "recipes"]
 

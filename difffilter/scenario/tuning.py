@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from difffilter.losses import LOSSES
+from difffilter.scenario.settings import OPTIMISERS, TuneSettings
 from difffilter.scenario.table import Table
-from difffilter.tune.settings import OPTIMISERS, TuneSettings
+from difffilter.scoring.losses import LOSSES
 
 __all__ = ["read_tuning"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Generator, Tensor
 
-from difffilter.motion import AXES
+from difffilter.motions.blocks import AXES
 from difffilter.scenario.distribution import Distribution, read_distribution
 from difffilter.scenario.table import Table
 

@@ -1,0 +1,102 @@
+"""Sets of values of one filter on the same held-out log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from difffilter.engine.choice import pick, tell
+from difffilter.errors import EngineError
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log
+from difffilter.logs.track import Track
+from difffilter.parameters.parameters import Values
+from difffilter.running.batch import run
+from difffilter.scenario.estimation import estimate, started
+from difffilter.scenario.scenario import Scenario
+from difffilter.scoring.metrics import mean_nees, paired_ratio, position_error, scored_rows
+
+__all__ = ["HeldOut", "Outcome"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one set of values gave.
+
+    Attributes:
+        track: of the whole log.
+        squared: (T, ...), squared position errors, m^2.
+        rows: (T, ...), those that count.
+        rmse: position root mean square error, m.
+        nees: mean NEES per state, 1 expected.
+    """
+
+    track: Track
+    squared: Tensor
+    rows: Tensor
+    rmse: float
+    nees: float
+
+    def ratio(self, to: Outcome) -> tuple[float, float, float]:
+        """RMSE divided by that of another, over the rows of both, with its 95 % interval."""
+        return paired_ratio(self.squared, to.squared, self.rows & to.rows)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A log with truth that nobody tuned on, and who runs over it.
+
+    Attributes:
+        scenario: says how a run starts and which rows count.
+        filter: the recipe.
+        log: with truth.
+        temperature: None for the hard form.
+        engine: as for :func:`difffilter.run`.
+    """
+
+    scenario: Scenario
+    filter: Filter
+    log: Log
+    temperature: float | None = None
+    engine: str = "auto"
+
+    @cached_property
+    def _chosen(self) -> str:
+        """The engine of many runs: ``auto`` compiles where that is possible at all."""
+        chosen = pick(self.engine, math.inf)
+        if chosen != "auto":
+            return chosen
+        one = self.log.select([0]) if self.log.z.dim() > 2 else self.log
+        try:
+            run(self.filter, started(self.scenario, self.filter, one), engine="fused")
+        except EngineError as error:
+            tell(error)
+            return "torch"
+        return "fused"
+
+    def outcome(
+        self, values: Values | None = None, start: Callable[[Log], Log] = lambda log: log
+    ) -> Outcome:
+        """Run with some values (the published ones if None), started as they start.
+
+        Args:
+            start: changes the started log.
+
+        Raises:
+            InputError: a log without truth.
+        """
+        values = self.filter.published() if values is None else values
+        ready = start(started(self.scenario, self.filter, self.log, values))
+        with torch.no_grad():
+            track = estimate(
+                self.filter, ready, values, temperature=self.temperature, engine=self._chosen
+            )
+        rows = scored_rows(self.log, track, self.scenario.score)
+        squared = position_error(self.log, track)
+        error = float(squared[rows].mean().sqrt())
+        return Outcome(track, squared, rows, error, float(mean_nees(self.log, track, rows)))

@@ -1,0 +1,137 @@
+"""What a filter believes, what it is given, and what it tells about one step."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from difffilter.core.linalg import semidefinite_cholesky
+from difffilter.errors import InputError
+
+__all__ = ["Belief", "Measurement", "Record", "belief"]
+
+
+class Belief(NamedTuple):
+    """Mean and deviations, P = X X^T; and what else the filter carries from step to step.
+
+    Attributes:
+        mean: (..., n).
+        deviations: (..., n, n).
+        memory: named tensors of an adaptation; empty for most filters.
+    """
+
+    mean: Tensor
+    deviations: Tensor
+    memory: Mapping[str, Tensor] = {}
+
+    @property
+    def covariance(self) -> Tensor:
+        """(..., n, n)."""
+        return self.deviations @ self.deviations.mT
+
+
+class Measurement(NamedTuple):
+    """One row of a log.
+
+    Attributes:
+        z: (..., m), NaN where a channel is missing.
+        dt: seconds since the belief's time, scalar or (...).
+        inputs: known inputs by name (anchor or platform positions, extra noise).
+    """
+
+    z: Tensor
+    dt: Tensor
+    inputs: Mapping[str, Tensor] = {}
+
+
+class Record(NamedTuple):
+    """What one step did; losses, metrics and plots are folds over these.
+
+    Attributes:
+        innovation: (..., m), nominal: before any weighing; 0 where missing.
+        observed: (..., m, k), nominal deviations Z of the predicted measurement.
+        noise: (..., m), nominal measurement noise variance.
+        standardised: (..., m), residual that the weight saw, in sigmas.
+        weight: (..., m), final weight; 0 where missing.
+        prior_weight: (..., n), weight of the prediction's own residuals.
+        gate: (..., m), 1 passed, 0 failed (between, when soft).
+        present: (..., m), whether the channel was measured (and its sensor not isolated).
+        isolated: (..., m), whether a federated filter left the channel's sensor out because
+            something of it was not finite.
+    """
+
+    innovation: Tensor
+    observed: Tensor
+    noise: Tensor
+    standardised: Tensor
+    weight: Tensor
+    prior_weight: Tensor
+    gate: Tensor
+    present: Tensor
+    isolated: Tensor
+
+    @property
+    def innovation_variance(self) -> Tensor:
+        """(..., m), nominal variance S_ii of each innovation."""
+        return self.observed.square().sum(-1) + self.noise
+
+    @property
+    def nis(self) -> Tensor:
+        """(...), nu^T S^-1 nu over the present channels; 0 with none.
+
+        Raises:
+            torch.linalg.LinAlgError: S is not positive definite.
+        """
+        nis: Tensor = self._whitened()[0].square().sum(-1)
+        return nis
+
+    @property
+    def log_density(self) -> Tensor:
+        """(...), log N(nu; 0, S) over the present channels; 0 with none.
+
+        Raises:
+            torch.linalg.LinAlgError: S is not positive definite.
+        """
+        white, lower = self._whitened()
+        count = self.present.to(self.noise.dtype).sum(-1)
+        logarithm = lower.diagonal(dim1=-2, dim2=-1).log().sum(-1)
+        return -0.5 * (white.square().sum(-1) + math.log(2.0 * math.pi) * count) - logarithm
+
+    def _whitened(self) -> tuple[Tensor, Tensor]:
+        """L^-1 nu and L, S = L L^T, over the present channels."""
+        mask = self.present.to(self.noise.dtype)
+        innovation = mask * self.innovation
+        cross = self.observed @ self.observed.mT * mask.unsqueeze(-1) * mask.unsqueeze(-2)
+        # A missing channel becomes an independent one of unit variance and innovation 0.
+        covariance = cross + torch.diag_embed(torch.where(self.present, self.noise, 1.0))
+        lower = torch.linalg.cholesky(covariance)
+        white = torch.linalg.solve_triangular(lower, innovation.unsqueeze(-1), upper=False)
+        return white.squeeze(-1), lower
+
+
+def belief(mean: Tensor, covariance: Tensor) -> Belief:
+    """Belief from a mean (..., n) and a positive semidefinite covariance (..., n, n).
+
+    Raises:
+        InputError: shapes that do not fit, entries that are not finite, a covariance that
+            is not symmetric or has a negative eigenvalue.
+    """
+    n = mean.shape[-1]
+    if covariance.shape[-2:] != (n, n):
+        raise InputError(
+            f"covariance: found shape {list(covariance.shape)}, expected (..., {n}, {n})"
+        )
+    if not (torch.isfinite(mean).all() and torch.isfinite(covariance).all()):
+        raise InputError("initial belief: found an entry that is not finite")
+    scale = covariance.diagonal(dim1=-2, dim2=-1).abs().amax(-1)
+    tolerance = 1e3 * torch.finfo(mean.dtype).eps * scale
+    if bool(((covariance - covariance.mT).abs().amax((-1, -2)) > tolerance).any()):
+        raise InputError("covariance: found an asymmetric matrix, expected a symmetric one")
+    if bool((torch.linalg.eigvalsh(covariance)[..., 0] < -tolerance).any()):
+        raise InputError("covariance: found a negative eigenvalue, expected none")
+    deviations = semidefinite_cholesky(covariance)
+    return Belief(mean, deviations.expand(*mean.shape[:-1], n, n))

@@ -1,0 +1,45 @@
+"""A predicted belief and measurement, before any weighing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from torch import Tensor
+
+__all__ = ["Linearised"]
+
+
+class Linearised(NamedTuple):
+    """A predicted belief and measurement, before any weighing.
+
+    Attributes:
+        mean: (..., n) predicted mean; deviations: (..., n, k) with k >= n.
+        innovation: (..., m); 0 where missing.
+        observed: (..., m, k) deviations of the predicted measurement.
+        independent: (..., m) independent noise variance.
+        total: (..., m) diagonal of R.
+        common: how many of the last columns are noise common to channels.
+        moved: (..., n, j) moved deviations F X without process noise; process: (..., n, q).
+        transition: columns (..., n, j) -> F times them, F the motion's Jacobian.
+        dt: (...), s, of the prediction.
+        again: (mean, deviations (..., n, n)) -> the same measurement linearised there.
+    """
+
+    mean: Tensor
+    deviations: Tensor
+    innovation: Tensor
+    observed: Tensor
+    independent: Tensor
+    total: Tensor
+    common: int = 0
+    moved: Tensor | None = None
+    process: Tensor | None = None
+    transition: Callable[[Tensor], Tensor] | None = None
+    dt: Tensor | None = None
+    again: Callable[[Tensor, Tensor], Linearised] | None = None
+
+    @property
+    def own(self) -> int:
+        """How many of the first columns are the state's: n, or 2n with cubature."""
+        return self.deviations.shape[-1] - self.common

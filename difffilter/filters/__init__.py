@@ -1,0 +1,1 @@
+"""Recipes that run step by step: what they declare, and the pure step itself."""

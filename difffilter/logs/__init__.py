@@ -1,0 +1,1 @@
+"""Measurements over time, estimates over time, and the files that hold them."""

@@ -1,0 +1,1 @@
+"""What may be tuned: declarations, their constraints, and sets of values."""

@@ -1,0 +1,1 @@
+"""Pages that stand alone: HTML, Markdown and JSON, with figures."""

@@ -1,0 +1,101 @@
+"""One trajectory: track, errors with 3-sigma bands, rejected measurements."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from difffilter.logs.log import Log
+from difffilter.logs.track import Track
+from difffilter.reports.figures.style import COLOURS, axes_grid
+
+__all__ = ["track_figure"]
+
+
+def track_figure(log: Log, track: Track, trajectory: int = 0, title: str = "") -> Figure:
+    """Track, position errors with 3-sigma bands, and weights over time.
+
+    Args:
+        log: (T, B, m) or (T, m), with truth or not (errors need it).
+        track: of that log.
+        trajectory: which one of a batch.
+    """
+    time, mean, std, weights, truth = _pick(log, track, trajectory)
+    figure, axes = axes_grid(2, 2)
+    if title:
+        figure.suptitle(title)
+    _draw_track(axes[0], log, track, mean, truth)
+    for i, name in enumerate(track.states[:2]):
+        _draw_error(axes[1 + i], name, time, mean[:, i], std[:, i], truth, log)
+    _draw_weights(axes[3], track, time, weights)
+    return figure
+
+
+def _pick(
+    log: Log, track: Track, b: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    def one(x: object, trailing: int) -> np.ndarray:
+        array = np.asarray(x.detach() if hasattr(x, "detach") else x)
+        return array[:, b] if array.ndim > trailing + 1 else array
+
+    weights = None
+    if track.record is not None:
+        seen = track.record.present.numpy()
+        weights = one(np.where(seen, track.record.weight.detach().numpy(), np.nan), 1)
+    truth = None if log.truth is None else one(log.truth, 1)
+    return one(log.time, 0), one(track.mean, 1), one(track.std, 1), weights, truth
+
+
+def _draw_track(
+    ax: Axes, log: Log, track: Track, mean: np.ndarray, truth: np.ndarray | None
+) -> None:
+    if len(track.states) < 2 or track.states[1].startswith("v"):
+        ax.plot(mean[:, 0], color=COLOURS["tuned"], label="estimate")
+        ax.set(xlabel="row", ylabel=f"{track.states[0]} (m)", title="track")
+        return
+    names = track.states[:2]
+    if truth is not None and set(names) <= set(log.truth_states):
+        x, y = (truth[:, log.truth_states.index(name)] for name in names)
+        ax.plot(x, y, color=COLOURS["truth"], lw=1.0, label="truth")
+    ax.plot(mean[:, 0], mean[:, 1], color=COLOURS["tuned"], lw=1.0, label="estimate")
+    ax.plot(mean[0, 0], mean[0, 1], "o", color=COLOURS["published"], ms=5, label="start")
+    ax.set(xlabel="x (m)", ylabel="y (m)", title="track")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
+
+
+def _draw_error(
+    ax: Axes,
+    name: str,
+    time: np.ndarray,
+    mean: np.ndarray,
+    std: np.ndarray,
+    truth: np.ndarray | None,
+    log: Log,
+) -> None:
+    ax.fill_between(time, -3 * std, 3 * std, color=COLOURS["tuned"], alpha=0.18, lw=0)
+    ax.plot([], [], color=COLOURS["tuned"], alpha=0.3, lw=6, label="3 sigma")
+    if truth is not None and name in log.truth_states:
+        error = mean - truth[:, log.truth_states.index(name)]
+        ax.plot(time, error, color=COLOURS["tuned"], lw=0.8, label="error")
+        span = np.nanmax(np.abs(error)) if np.isfinite(error).any() else 1.0
+        limit = max(1.3 * span, 1.3 * 3 * float(np.nanmedian(std)))
+        ax.set_ylim(-limit, limit)
+    ax.set(xlabel="time (s)", ylabel=f"error in {name} (m)", title=f"{name}: estimate - truth")
+    ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
+
+
+def _draw_weights(ax: Axes, track: Track, time: np.ndarray, weights: np.ndarray | None) -> None:
+    ax.set(xlabel="time (s)", title="weights: dark = rejected, grey = missing")
+    ax.grid(False)
+    if weights is None:
+        ax.text(0.5, 0.5, "no weights", ha="center", transform=ax.transAxes)
+        return
+    ax.set_facecolor("#b8b8b8")
+    image = ax.pcolormesh(
+        time, np.arange(weights.shape[1]), weights.T, cmap="Blues_r", vmin=0.0, vmax=1.0,
+        shading="nearest", rasterized=True,
+    )  # fmt: skip
+    ax.set_yticks(np.arange(weights.shape[1]), track.channels, fontsize=8)
+    ax.figure.colorbar(image, ax=ax, label="weight")

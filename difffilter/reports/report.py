@@ -1,0 +1,162 @@
+"""Reports: tables, figures and claims, written by the run that made them.
+
+As Markdown, as JSON, and as one HTML page that stands alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from difffilter.comparison.comparison import Comparison
+from difffilter.files import json_text, write_atomically
+from difffilter.provenance import git_commit, library_versions
+from difffilter.reports import page
+from difffilter.reports.figures.style import save_figure
+
+__all__ = ["HELD", "Report"]
+
+#: What is said of a claim.
+HELD: Mapping[bool | None, str] = {True: "held", False: "not held", None: "cannot be checked"}
+
+
+class Report:
+    """Collects what an experiment found; :meth:`write` makes report.md, .json and .html.
+
+    Args:
+        folder: where the report and its figures go.
+        title: heading.
+        settings: of the run, for the JSON (seed, sizes).
+
+    Example:
+        >>> import tempfile
+        >>> report = Report(tempfile.mkdtemp(), "Two filters")
+        >>> report.table("errors", ["system", "RMSE (m)"], [["ekf", 1.25], ["robust", 0.81]])
+        >>> report.claim("robust is better", 0.81 < 1.25, {"ekf": 1.25, "robust": 0.81})
+        >>> report.write().name
+        'report.md'
+    """
+
+    def __init__(
+        self, folder: str | Path, title: str, settings: Mapping[str, Any] | None = None
+    ) -> None:
+        self.folder = Path(folder)
+        self.title = title
+        self._lines = [f"# {title}", ""]
+        self._body: list[str] = []
+        self._data: dict[str, Any] = {
+            "title": title,
+            "settings": dict(settings or {}),
+            "versions": library_versions(),
+            "git_commit": git_commit(),
+            "tables": {},
+            "papers": {},
+            "verdicts": {},
+            "comparisons": {},
+            "claims": [],
+            "figures": [],
+        }
+
+    def heading(self, text: str, level: int = 2) -> None:
+        """A section, or at level 3 a part of one."""
+        self._lines += [f"{'#' * level} {text}", ""]
+        self._body.append(f"<h{level}>{escape(text)}</h{level}>")
+
+    def verdict(self, name: str, text: str) -> None:
+        """What an engineer is advised to do about ``name``, for whoever joins reports."""
+        self._data["verdicts"][name] = text
+
+    def text(self, text: str) -> None:
+        """A paragraph."""
+        self._lines += [text, ""]
+        self._body.append(page.paragraph(text))
+
+    def table(
+        self, name: str, head: Sequence[str], rows: Sequence[Sequence[Any]], paper: str = ""
+    ) -> None:
+        """A table; numbers are shown with three decimals and kept whole in the JSON.
+
+        Args:
+            paper: what the paper says about the same table, shown beside it.
+        """
+        self._lines.append("| " + " | ".join(head) + " |")
+        self._lines.append("|" + "---|" * len(head))
+        self._lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
+        self._lines.append("")
+        self._body.append(page.table(head, [[_cell(value) for value in row] for row in rows]))
+        self._data["tables"][name] = [dict(zip(head, row, strict=True)) for row in rows]
+        self._paper(name, paper)
+
+    def comparison(self, name: str, comparison: Comparison) -> None:
+        """A comparison's table; the JSON keeps every field of its rows."""
+        shown = comparison.markdown()
+        self._lines += [shown, ""]
+        head, _, *rows = ([c.strip() for c in line.split("|")[1:-1]] for line in shown.splitlines())
+        self._body.append(page.table(head, rows))
+        self._data["comparisons"][name] = comparison.as_dict()
+
+    def figure(self, figure: Figure, name: str, caption: str, paper: str = "") -> None:
+        """A figure, written at once as PNG and SVG.
+
+        Args:
+            paper: what the paper says about the same figure, shown beside it.
+        """
+        save_figure(figure, self.folder / name)
+        self._lines += [f"![{caption}]({name}.png)", "", f"*{caption}* ([SVG]({name}.svg))", ""]
+        self._body.append(page.figure(self.folder / name, caption))
+        self._data["figures"].append({"name": name, "caption": caption})
+        self._paper(name, paper)
+
+    def _paper(self, name: str, says: str) -> None:
+        if says:
+            self._lines += [f"> **The paper:** {says}", ""]
+            self._body.append(page.aside(f"**The paper:** {says}"))
+            self._data["papers"][name] = says
+
+    def claim(self, text: str, held: bool | None, numbers: Mapping[str, Any]) -> None:
+        """A claim that the run checked, with the numbers that decide it.
+
+        Args:
+            held: None where the run cannot check it; the numbers then say why.
+        """
+        self._data["claims"].append({"claim": text, "held": held, "numbers": dict(numbers)})
+
+    def write(self) -> Path:
+        """Write the files; claims stand in a table at the end."""
+        claims = self._data["claims"]
+        if claims:
+            self.heading("Claims checked by this run")
+            rows = [
+                [
+                    entry["claim"],
+                    HELD[entry["held"]],
+                    ", ".join(f"{k}: {_cell(v)}" for k, v in entry["numbers"].items()),
+                ]
+                for entry in claims
+            ]
+            self._lines += ["| claim | verdict | numbers |", "|---|---|---|"]
+            for claim, held, numbers in rows:
+                shown = held if held == HELD[True] else f"**{held}**"
+                self._lines.append(f"| {claim} | {shown} | {numbers} |")
+            self._lines.append("")
+            self._body.append(page.table(["claim", "verdict", "numbers"], rows))
+        path = self.folder / "report.md"
+        write_atomically(path, "\n".join(self._lines))
+        write_atomically(self.folder / "report.html", page.page(self.title, self._body))
+        write_atomically(self.folder / "report.json", json_text(self._data) + "\n")
+        return path
+
+
+def _cell(value: Any) -> str:
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, float):
+        return f"{value:.3f}" if abs(value) < 1000 else f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return " to ".join(_cell(item) for item in value)
+    return str(value)

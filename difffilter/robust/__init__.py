@@ -1,0 +1,1 @@
+"""What guards an update: groups of channels, gates, weighing, recovery, local filters."""

@@ -1,0 +1,1 @@
+"""A filter over a log, over a stream, and the loss with its derivatives."""

@@ -1,0 +1,184 @@
+"""Run a filter over a log: the time loop, for one trajectory or a batch."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from tqdm import tqdm
+
+from difffilter.core.beliefs import Belief, Measurement, Record, belief
+from difffilter.engine.choice import ENGINES, eager_seconds, with_engine
+from difffilter.errors import InputError, NonFiniteError
+from difffilter.filters.filter import Filter
+from difffilter.filters.stepping import step
+from difffilter.logs.log import Log, Start
+from difffilter.logs.track import Track
+from difffilter.parameters.parameters import Values
+
+__all__ = ["ENGINES", "prepared", "run", "start_belief"]
+
+
+def start_belief(filter: Filter, constants: Values, start: Start) -> Belief:
+    """Belief at the start; the filter's ``start.sigma`` where no covariance is given."""
+    mean = start.mean
+    if start.covariance is not None:
+        given = belief(mean, start.covariance)
+        return filter.start(given.mean, given.deviations)
+    if "start.sigma" not in constants:
+        raise InputError("start: found no covariance, expected one, or a filter with start.sigma")
+    n = mean.shape[-1]
+    deviations = torch.diag_embed(constants["start.sigma"].expand(n))
+    return filter.start(mean, deviations.expand(*mean.shape[:-1], n, n))
+
+
+def run(
+    filter: Filter,
+    log: Log,
+    values: Values | None = None,
+    start: Start | Belief | None = None,
+    *,
+    temperature: float | None = None,
+    progress: bool = False,
+    engine: str = "auto",
+) -> Track:
+    """Run the filter over a log, all trajectories at once.
+
+    Each row: predict over the time since the row before, then condition on the present
+    channels. A row without any channel is prediction alone.
+
+    Args:
+        filter: the recipe.
+        log: z (T, m) for one trajectory or (T, B, m); channels as the filter's.
+        values: physical parameter values, differentiable; the declared ones if missing.
+        start: initial mean and covariance, or a belief at the first row's time minus its
+            dt; the log's own if None.
+        temperature: None runs the frozen, hard form.
+        progress: show a bar if it takes over two seconds.
+        engine: ``torch``; ``fused``: the same step traced, compiled to C and cached (see
+            :mod:`difffilter.engine`): float64, without gradient, needs a C compiler; or
+            ``auto``: fused where it can and the log is long enough to pay for it.
+
+    Raises:
+        InputError: channels or shapes that do not fit, no start.
+        NonFiniteError: names the first trajectory, step and state or channel.
+    """
+    constants, current, intervals = prepared(filter, log, values, start, temperature)
+
+    def fused() -> Track:
+        from difffilter.engine.fused import Job, forward
+
+        job = Job(filter, constants, log, current, intervals)
+        return Track(filter.states, filter.channels, log.time, *forward(job))
+
+    def plain() -> Track:
+        return _eager(filter, constants, log, current, intervals, progress)
+
+    given = (*constants.values(), log.z, current.mean, current.deviations)
+    differentiable = torch.is_grad_enabled() and any(x.requires_grad for x in given)
+    if differentiable and engine == "fused":
+        raise InputError("engine fused: found values with gradient, expected none")
+    track = with_engine(
+        "torch" if differentiable else engine, fused, plain, eager_seconds(log, filter.iterations)
+    )
+    check_finite(track)
+    return track
+
+
+def prepared(
+    filter: Filter,
+    log: Log,
+    values: Values | None = None,
+    start: Start | Belief | None = None,
+    temperature: float | None = None,
+) -> tuple[Values, Belief, Tensor]:
+    """Constants of a run, the belief of each trajectory at its start, dt before each row.
+
+    Arguments and errors as those of :func:`run`.
+    """
+    if log.channels != filter.channels:
+        raise InputError(
+            f"log: found channels {', '.join(log.channels)}, expected {', '.join(filter.channels)}"
+        )
+    if not log.steps:
+        raise InputError("log: found no row, expected one or more")
+    filter.check_inputs(log.inputs)
+    values = dict(values or {})
+    values = filter.published(log.z.dtype) | values
+    constants = filter.prepare(values, temperature)
+    start = start if start is not None else log.start
+    if start is None:
+        raise InputError("start: found none, expected an initial mean (see from_measurements)")
+    at = None if isinstance(start, Belief) else start.time
+    if start.mean.shape[-1:] != (len(filter.states),):
+        raise InputError(
+            f"start: found mean of shape {list(start.mean.shape)}, "
+            f"expected {len(filter.states)} numbers ({', '.join(filter.states)})"
+        )
+    given = start if isinstance(start, Belief) else start_belief(filter, constants, start)
+    fitted = _fit(given, log, filter.states)
+    current = filter.start(fitted.mean, fitted.deviations)
+    if isinstance(start, Belief):
+        current = current._replace(memory={**current.memory, **start.memory})
+    return constants, current, log.intervals(at)
+
+
+def _eager(
+    filter: Filter,
+    constants: Values,
+    log: Log,
+    current: Belief,
+    intervals: Tensor,
+    progress: bool,
+) -> Track:
+    """The steps one after the other, by torch."""
+    rows = log.z.movedim(-1, 1).contiguous().movedim(1, -1)  # trajectories last in memory
+    means, deviations, records = [], [], []
+    for t in tqdm(range(log.steps), desc="filter", unit="step", delay=2.0, disable=not progress):
+        inputs = {name: value[t] for name, value in log.inputs.items()}
+        row = Measurement(rows[t], intervals[t], inputs)
+        current, record = step(filter, constants, current, row)
+        means.append(current.mean)
+        deviations.append(current.deviations)
+        records.append(record)
+    return Track(
+        filter.states,
+        filter.channels,
+        log.time,
+        torch.stack(means),
+        torch.stack(deviations),
+        Record(*(torch.stack(field) for field in zip(*records, strict=True))),
+        current,
+    )
+
+
+def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:
+    """Expand a single start over the log's trajectories."""
+    lead = log.z.shape[1:-1]
+    n = len(states)
+    try:
+        mean = start.mean.expand(*lead, n)
+    except RuntimeError:
+        raise InputError(
+            f"start: found mean of shape {list(start.mean.shape)}, expected {[*lead, n]}"
+        ) from None
+    return Belief(mean, start.deviations.expand(*lead, n, -1), start.memory)
+
+
+def check_finite(track: Track) -> None:
+    """Raise NonFiniteError at the first step whose belief or innovation is not finite."""
+    deviations = track.deviations.detach()
+    checks: list[tuple[str, Tensor, tuple[str, ...]]] = [("mean", track.mean, track.states)]
+    if not torch.isfinite(deviations.sum()):
+        checks.append(("covariance", deviations.sum(-1), track.states))
+    if track.record is not None:
+        checks.insert(0, ("innovation", track.record.innovation, track.channels))
+    worst: tuple[int, NonFiniteError] | None = None
+    for what, tensor, names in checks:
+        bad = ~torch.isfinite(tensor.detach())
+        if bool(bad.any()):
+            where = bad.reshape(bad.shape[0], -1, bad.shape[-1]).nonzero()[0].tolist()
+            if worst is None or where[0] < worst[0]:
+                error = NonFiniteError(what, where[1], where[0], names[where[2]])
+                worst = (where[0], error)
+    if worst is not None:
+        raise worst[1]

@@ -1,0 +1,221 @@
+"""Streaming: one measurement at a time through the same step as the batch run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from difffilter.core.beliefs import Belief, Measurement, Record, belief
+from difffilter.engine.choice import pick, tell
+from difffilter.errors import EngineError, InputError, NonFiniteError
+from difffilter.filters.filter import Filter
+from difffilter.filters.stepping import step
+from difffilter.parameters.parameters import Values
+
+if TYPE_CHECKING:
+    from difffilter.engine.streaming import Stream
+
+__all__ = ["Tracker"]
+
+
+class Tracker:
+    """A filter with its current belief, for use on a live stream.
+
+    Args:
+        filter: the recipe.
+        mean: (n,) or (..., n) initial mean.
+        covariance: (n, n) or (..., n, n), positive semidefinite.
+        values: frozen parameter values; the declared ones if missing.
+        temperature: of a checkpoint frozen in its soft form; None for the hard form.
+        engine: ``fused`` compiles the step when the tracker is made (or at the first step,
+            where that has known inputs); ``torch``; ``auto``: fused where it can.
+
+    Attributes:
+        steps: how many were done.
+
+    Raises:
+        InputError: a mean or a covariance that does not fit the filter, a wrong value.
+        EngineError: ``fused`` where the step cannot be compiled.
+
+    Example:
+        >>> import torch
+        >>> from difffilter import ConstantVelocity, Filter, Position, Tracker, huber
+        >>> robust = Filter(ConstantVelocity(axes=1), (Position(axes=1, sigma=2.0),), huber)
+        >>> tracker = Tracker(robust, [0.0, 1.0], [[4.0, 0.0], [0.0, 1.0]])
+        >>> record = tracker.step([1.2], dt=1.0)
+        >>> tracker.belief.mean.shape
+        torch.Size([2])
+    """
+
+    def __init__(
+        self,
+        filter: Filter,
+        mean: Tensor | Sequence[float],
+        covariance: Tensor | Sequence[Sequence[float]],
+        values: Values | None = None,
+        temperature: float | None = None,
+        engine: str = "auto",
+    ) -> None:
+        self.filter = filter
+        self._engine = pick(engine, math.inf)
+        self._stream: Stream | None = None
+        self._stale = False  # whether the compiled step has moved the belief since it was read
+        with torch.inference_mode():
+            self._constants = filter.prepare(values, temperature)
+            self._dtype = next(iter(self._constants.values())).dtype
+            first = belief(self._tensor(mean), self._tensor(covariance))
+            if first.mean.shape[-1] != len(filter.states):
+                raise InputError(
+                    f"mean: found {first.mean.shape[-1]} numbers, "
+                    f"expected {len(filter.states)} ({', '.join(filter.states)})"
+                )
+            self._belief = filter.start(first.mean, first.deviations)
+        self.steps = 0
+        self._informed = _needs_inputs(filter)
+        single = self._belief.mean.dim() == 1 and self._dtype == torch.float64
+        if self._engine == "auto" and not single:
+            self._engine = "torch"
+        if self._engine != "torch" and not self._informed:
+            self._compile({})
+
+    @property
+    def belief(self) -> Belief:
+        """The current belief: mean (n,) or (..., n), deviations, memory."""
+        if self._stale and self._stream is not None:
+            self._belief, self._stale = self._stream.belief, False
+        return self._belief
+
+    @belief.setter
+    def belief(self, belief: Belief) -> None:
+        self._belief, self._stale = belief, False
+        if self._stream is not None:
+            self._stream.set(belief)
+
+    def _compile(self, inputs: Mapping[str, Tensor]) -> None:
+        """Go over to the compiled step; ``auto`` stays with torch where there is none."""
+        from difffilter.engine.streaming import Stream
+
+        try:
+            self._stream = Stream(self.filter, self._constants, self._belief, inputs)
+        except EngineError as error:
+            if self._engine == "fused":
+                raise
+            self._engine = "torch"
+            tell(error)
+
+    def step(
+        self,
+        z: Tensor | Sequence[float | None] | Mapping[str, float | None],
+        dt: float | Tensor,
+        inputs: Mapping[str, Tensor | Sequence[float] | float] | None = None,
+    ) -> Record:
+        """Predict over dt seconds and condition on z; returns the step's record.
+
+        Args:
+            z: one number per channel in the filter's order, or a mapping by channel name;
+                NaN, None or an absent name where a channel is missing.
+            dt: seconds since the last step, 0 or more.
+            inputs: known inputs of this step.
+
+        Raises:
+            InputError: a wrong number of channels, an unknown name, dt < 0; the belief
+                stays as it was.
+            NonFiniteError: the new belief is not finite; the belief stays as it was.
+        """
+        row = self._numbers(z)
+        if self._stream is None and self._engine != "torch":
+            self._compile(self._known(inputs))
+        if self._stream is not None:
+            return self._streamed(self._stream, row, dt, inputs)
+        with torch.inference_mode():
+            known = self._known(inputs)
+            interval = self._tensor(dt)
+            if not bool((interval >= 0).all()):
+                raise InputError(f"dt: found {dt}, expected 0 or more seconds")
+            measurement = Measurement(self._row(row), interval, known)
+            after, record = step(self.filter, self._constants, self._belief, measurement)
+            for what, tensor in (("mean", after.mean), ("covariance", after.deviations.sum(-1))):
+                bad = ~torch.isfinite(tensor)
+                if bool(bad.any()):
+                    where = bad.reshape(-1, bad.shape[-1]).nonzero()[0].tolist()
+                    name = self.filter.states[where[1]]
+                    raise NonFiniteError(what, where[0], self.steps, name)
+            self._belief, self.steps = after, self.steps + 1
+            return record
+
+    def _streamed(
+        self,
+        stream: Stream,
+        row: Tensor | list[float],
+        dt: float | Tensor,
+        inputs: Mapping[str, Tensor | Sequence[float] | float] | None,
+    ) -> Record:
+        """The compiled step."""
+        z = row.tolist() if isinstance(row, Tensor) else row
+        if (isinstance(row, Tensor) and row.dim() != 1) or len(z) != len(self.filter.channels):
+            found = list(row.shape) if isinstance(row, Tensor) else [len(z)]
+            raise InputError(f"z: found shape {found}, expected {[len(self.filter.channels)]}")
+        if any(map(math.isinf, z)):
+            raise InputError("z: found an infinite number, expected finite or missing")
+        seconds = float(dt)
+        if not seconds >= 0.0:
+            raise InputError(f"dt: found {dt}, expected 0 or more seconds")
+        known = self._known(inputs) if inputs or self._informed else {}
+        record, bad = stream.step(z, seconds, known)
+        if bad:
+            what, state = stream.place(bad)
+            raise NonFiniteError(what, 0, self.steps, self.filter.states[state])
+        self.steps, self._stale = self.steps + 1, True
+        return record
+
+    def _known(
+        self, inputs: Mapping[str, Tensor | Sequence[float] | float] | None
+    ) -> dict[str, Tensor]:
+        """Known inputs as tensors; InputError if one is missing."""
+        known = {name: self._tensor(value) for name, value in (inputs or {}).items()}
+        self.filter.check_inputs(known)
+        return known
+
+    def _numbers(
+        self, z: Tensor | Sequence[float | None] | Mapping[str, float | None]
+    ) -> Tensor | list[float]:
+        """z in the order of the channels, NaN where missing."""
+        if isinstance(z, Tensor):
+            return z
+        if isinstance(z, Mapping):
+            channels = self.filter.channels
+            unknown = set(z) - set(channels)
+            if unknown:
+                raise InputError(
+                    f"z: found channel {min(unknown)!r}, expected {', '.join(channels)}"
+                )
+            z = [z.get(name) for name in channels]
+        try:
+            return [math.nan if v is None else float(v) for v in z]
+        except (TypeError, ValueError):
+            raise InputError(f"z: found {z!r}, expected numbers or None") from None
+
+    def _row(self, z: Tensor | list[float]) -> Tensor:
+        row = torch.as_tensor(z, dtype=self._dtype)
+        expected = (*self._belief.mean.shape[:-1], len(self.filter.channels))
+        if row.shape != expected:
+            raise InputError(f"z: found shape {list(row.shape)}, expected {list(expected)}")
+        if bool(torch.isinf(row).any()):
+            raise InputError("z: found an infinite number, expected finite or missing")
+        return row
+
+    def _tensor(self, value: object) -> Tensor:
+        return torch.as_tensor(value, dtype=self._dtype)
+
+
+def _needs_inputs(filter: Filter) -> bool:
+    """Whether a step of the filter reads known inputs."""
+    try:
+        filter.check_inputs({})
+    except InputError:
+        return True
+    return False

@@ -1,0 +1,284 @@
+"""Frozen filters: one small readable JSON file, strict on load."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import CheckpointError, InputError
+from difffilter.files import json_text, write_atomically
+from difffilter.filters.filter import Filter
+from difffilter.parameters.parameters import Number
+from difffilter.provenance import git_commit, library_versions
+from difffilter.running.tracker import Tracker
+from difffilter.scenario.scenario import Scenario, read_scenario
+
+__all__ = ["FORMAT", "VERSION", "Checkpoint", "load", "save"]
+
+FORMAT = "difffilter-checkpoint"
+VERSION = 1
+
+_KEYS: dict[str, type | tuple[type, ...]] = {
+    "format": str,
+    "version": int,
+    "scenario": str,
+    "system": str,
+    "temperature": (int, float, type(None)),
+    "parameters": dict,
+    "recipe": dict,
+    "training": dict,
+    "result": dict,
+    "versions": dict,
+    "git_commit": (str, type(None)),
+    "document": dict,
+}
+_PARAMETER_KEYS = {
+    "value",
+    "published",
+    "unit",
+    "source",
+    "tuned",
+}
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A system with frozen values.
+
+    Attributes:
+        scenario: validated; its document is stored whole, so that the file stands alone.
+        system: name of the system.
+        values: frozen physical value of every parameter, by name.
+        temperature: None for the hard form; else the temperature of the soft one.
+        training: loss, seed, settings, data.
+        result: the held-out comparison made after tuning.
+    """
+
+    scenario: Scenario
+    system: str
+    values: Mapping[str, Tensor]
+    temperature: float | None = None
+    training: Mapping[str, Any] = field(default_factory=dict)
+    result: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def filter(self) -> Filter:
+        """The recipe, with the frozen values declared in place of the published ones."""
+        return self.published_filter.with_values(self.values)
+
+    @property
+    def published_filter(self) -> Filter:
+        """The recipe with the published values."""
+        system = self.scenario.system(self.system)
+        if not isinstance(system, Filter):
+            raise InputError(f"system {self.system}: is a baseline, expected a filter")
+        return system
+
+    def tracker(
+        self,
+        mean: Tensor | Sequence[float],
+        covariance: Tensor | Sequence[Sequence[float]],
+        engine: str = "auto",
+    ) -> Tracker:
+        """A streaming tracker that runs the frozen values from this belief.
+
+        Args:
+            mean: (n,), covariance: (n, n), in the units of the states.
+            engine: as for :class:`difffilter.running.tracker.Tracker`.
+
+        Raises:
+            InputError: a baseline, or a mean or covariance that does not fit.
+        """
+        return Tracker(
+            self.published_filter, mean, covariance, self.values, self.temperature, engine
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """What the JSON file holds."""
+        declarations = self.published_filter.declarations
+        spec = self.scenario.systems[self.system]
+        recipe = {key: value for key, value in vars(spec).items() if key not in ("where", "note")}
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "scenario": self.scenario.name,
+            "system": self.system,
+            "temperature": self.temperature,
+            "parameters": {
+                name: {
+                    "value": _plain(self.values[name]),
+                    "published": _listed(parameter.value),
+                    "unit": parameter.unit,
+                    "source": parameter.source,
+                    "tuned": parameter.tuned,
+                }
+                for name, parameter in declarations.items()
+            },
+            "recipe": {key: _listed(value) for key, value in recipe.items()},
+            "training": dict(self.training),
+            "result": dict(self.result),
+            "versions": library_versions(),
+            "git_commit": git_commit(),
+            "document": dict(self.scenario.document),
+        }
+
+
+def save(checkpoint: Checkpoint, path: str | Path) -> None:
+    """Write the checkpoint as JSON, atomically.
+
+    Raises:
+        InputError: a value outside its constraint, or a place that cannot be written.
+    """
+    declarations = checkpoint.published_filter.declarations
+    _same_keys(Path(path), "values", checkpoint.values, set(declarations))
+    for name, parameter in declarations.items():
+        parameter.check(checkpoint.values[name])
+    write_atomically(path, json_text(checkpoint.as_dict()) + "\n")
+
+
+def load(path: str | Path) -> Checkpoint:
+    """Read a checkpoint; everything in it is checked.
+
+    Raises:
+        CheckpointError: no such file, truncated or malformed JSON, another format or
+            version, a missing or extra key, a value that is NaN, of a wrong shape or
+            outside its constraint, a recipe or published value that does not belong to the
+            stored scenario. The message names the file and the key.
+    """
+    path = Path(path)
+
+    def fail(key: str, found: object, expected: str) -> NoReturn:
+        raise CheckpointError(f"{path}: {key}: found {found!r}, expected {expected}")
+
+    data = _read_json(path)
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        found = data.get("format") if isinstance(data, dict) else type(data).__name__
+        fail("format", found, repr(FORMAT))
+    if data.get("version") != VERSION:
+        fail("version", data.get("version"), f"{VERSION}")
+    _same_keys(path, "", data, set(_KEYS))
+    for key, kind in _KEYS.items():
+        if not isinstance(data[key], kind) or isinstance(data[key], bool):
+            fail(key, data[key], "another kind of value")
+    temperature = data["temperature"]
+    if temperature is not None and not temperature > 0:
+        fail("temperature", temperature, "null or a number above 0")
+    try:
+        scenario = read_scenario(data["document"], Path(f"{path} (document)"))
+    except InputError as error:
+        raise CheckpointError(str(error)) from None
+    try:
+        system = scenario.system(data["system"])
+    except InputError as error:
+        raise CheckpointError(f"{path}: {error}") from None
+    if not isinstance(system, Filter):
+        fail("system", data["system"], "a filter")
+    if data["scenario"] != scenario.name:
+        fail("scenario", data["scenario"], repr(scenario.name))
+    values = _read_values(path, data["parameters"], system)
+    checkpoint = Checkpoint(
+        scenario, data["system"], values, temperature, data["training"], data["result"]
+    )
+    expected = checkpoint.as_dict()["recipe"]
+    # A file of an older version may not name what was added since; the document decides.
+    _same_keys(path, "recipe", expected | data["recipe"], set(expected))
+    for key in data["recipe"]:
+        if data["recipe"][key] != expected[key]:
+            fail(f"recipe.{key}", data["recipe"][key], repr(expected[key]))
+    return checkpoint
+
+
+def _read_values(path: Path, entries: dict[str, Any], system: Filter) -> dict[str, Tensor]:
+    declarations = system.declarations
+    _same_keys(path, "parameters", entries, set(declarations))
+    values = {}
+    for name, parameter in declarations.items():
+        where, entry = f"{path}: parameters.{name}", entries[name]
+        if not isinstance(entry, dict):
+            raise CheckpointError(f"{where}: found {entry!r}, expected a table")
+        _same_keys(path, f"parameters.{name}", entry, _PARAMETER_KEYS)
+        expected = {
+            "published": _listed(parameter.value),
+            "unit": parameter.unit,
+            "source": parameter.source,
+            "tuned": parameter.tuned,
+        }
+        for key, value in expected.items():
+            if entry[key] != value:
+                raise CheckpointError(
+                    f"{where}.{key}: found {entry[key]!r}, expected {value!r} "
+                    "as in the stored document"
+                )
+        try:
+            values[name] = torch.tensor(_numbers(entry["value"]), dtype=torch.float64)
+            parameter.check(values[name])
+        except (InputError, TypeError, ValueError) as error:
+            raise CheckpointError(f"{where}.value: {error}") from None
+    return values
+
+
+def _read_json(path: Path) -> Any:
+    def no_constant(text: str) -> NoReturn:
+        raise ValueError(f"found {text}, expected finite numbers")
+
+    def finite(text: str) -> float:
+        value = float(text)
+        if not math.isfinite(value):
+            no_constant(text)
+        return value
+
+    def whole(text: str) -> int:
+        finite(text)
+        return int(text)
+
+    try:
+        return json.loads(
+            path.read_text(encoding="utf-8"),
+            parse_constant=no_constant,
+            parse_float=finite,
+            parse_int=whole,
+        )
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from None
+    except json.JSONDecodeError as error:
+        raise CheckpointError(
+            f"{path}, line {error.lineno}: damaged or truncated JSON: {error.msg}"
+        ) from None
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"{path}: {error}") from None
+
+
+def _same_keys(path: Path, where: str, table: Mapping[str, Any], expected: set[str]) -> set[str]:
+    prefix = f"{where}." if where else ""
+    for key in sorted(expected - set(table)):
+        raise CheckpointError(f"{path}: {prefix}{key}: found nothing, expected this key")
+    for key in sorted(set(table) - expected):
+        raise CheckpointError(f"{path}: {prefix}{key}: unknown key, expected no such key")
+    return expected
+
+
+def _numbers(value: Any) -> Number:
+    """Nested lists of true numbers (no text, no booleans)."""
+    if isinstance(value, list):
+        return tuple(_numbers(item) for item in value)  # type: ignore[return-value]
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        raise ValueError(f"found {value!r}, expected a finite number")
+    return float(value)
+
+
+def _plain(value: Tensor) -> Any:
+    return value.detach().to(torch.float64).tolist()
+
+
+def _listed(value: Any) -> Any:
+    """Nested tuples to nested lists, as JSON has them."""
+    if isinstance(value, Mapping):
+        return {key: _listed(item) for key, item in value.items()}
+    return [_listed(item) for item in value] if isinstance(value, tuple) else value

@@ -1,0 +1,100 @@
+"""Run any system, filter or baseline, over a log, from the right start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import torch
+
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.logs.track import Track
+from difffilter.parameters.parameters import Values
+from difffilter.running.batch import run
+from difffilter.sensors.position import PositionSensor
+from difffilter.start.bearings import from_bearings
+from difffilter.start.measurements import from_measurements
+
+if TYPE_CHECKING:
+    from difffilter.scenario.build import System
+    from difffilter.scenario.scenario import Scenario
+
+__all__ = ["estimate", "lean", "started"]
+
+
+def lean(filter: Filter, log: Log) -> Filter:
+    """The filter without local ones where that changes nothing: nothing can be isolated.
+
+    Built-in sensors and measurements whose squares are finite; else the filter as it is.
+    """
+    built_in = all(isinstance(sensor, PositionSensor) for sensor in filter.sensors)
+    tame = bool((torch.nan_to_num(log.z).abs() < 1e100).all())
+    return filter.centralised if built_in and tame else filter
+
+
+def started(scenario: Scenario, system: System, log: Log, values: Values | None = None) -> Log:
+    """The log with a start: its own, else one from its first measurements.
+
+    ``[start] kind = "bearings"`` crosses the first bearings; in a simulated world the start is
+    then one time step before the first row, at step 0.
+    How many rows that reads, and how unknown the velocity is, the scenario's ``[start]``
+    says; values are those of the system's parameters, the published ones if missing.
+
+    Args:
+        scenario: its ``[start]`` says how.
+        system: a filter or a baseline; the log keeps its channels.
+        log: z (T, m) or (T, B, m).
+
+    Raises:
+        InputError: a trajectory, named, whose first measurements determine no position.
+    """
+    log = log.only(system.channels)
+    if log.start is not None:
+        return log
+    spec = scenario.start
+    if spec.kind == "bearings":
+        assert spec.velocity is not None
+        lead = scenario.world.dt if scenario.world else 0.0
+        start = from_bearings(system, log, spec.velocity, values, rows=spec.rows, lead=lead)
+        return replace(log, start=start)
+    start = from_measurements(
+        system, log, values, rows=spec.rows, velocity_sigma=spec.unknown_velocity
+    )
+    return replace(log, start=start)
+
+
+def estimate(
+    system: System,
+    log: Log,
+    values: Values | None = None,
+    start: Start | None = None,
+    *,
+    temperature: float | None = None,
+    progress: bool = False,
+    engine: str = "auto",
+) -> Track:
+    """Estimates of a filter or a baseline over a log (see :func:`difffilter.run`).
+
+    Args:
+        system: a :class:`Filter`, or a baseline.
+        log: z (T, m) or (T, B, m); further channels than the system's are left out.
+        values: physical parameter values; the declared ones if missing.
+        start: as for :func:`difffilter.run`; baselines may need none.
+        temperature: of a filter's soft form; None for the hard form.
+        progress: show a bar if it takes over two seconds.
+        engine: of a filter: ``torch``, ``fused`` or ``auto``.
+
+    Returns:
+        Means (T, ..., n) and deviations; NaN where a baseline has no estimate.
+
+    Raises:
+        InputError: a channel that the log has not, shapes or values that do not fit, no start.
+        NonFiniteError: names the first trajectory, step and state or channel.
+    """
+    log = log.only(system.channels)
+    if isinstance(system, Filter):
+        return run(
+            system, log, values, start, temperature=temperature, progress=progress, engine=engine
+        )
+    return system.estimate(log, values, start, progress=progress)

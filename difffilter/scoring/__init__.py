@@ -1,0 +1,1 @@
+"""What is measured on estimates: errors, consistency, and the losses that tuning minimises."""

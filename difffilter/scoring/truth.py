@@ -1,0 +1,59 @@
+"""What a log's truth says of its measurements and of the motion."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log
+from difffilter.parameters.parameters import Values
+
+__all__ = ["measurement_errors", "true_states"]
+
+
+def true_states(filter: Filter, log: Log) -> Tensor:
+    """(T, ..., n), the true states of a filter; NaN where unknown.
+
+    A velocity that the log does not have is the central difference of its position.
+
+    Raises:
+        InputError: no truth, or a state that it does not tell.
+    """
+    if log.truth is None:
+        raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
+    truth = dict(zip(log.truth_states, log.truth.unbind(-1), strict=True))
+    for name in filter.states:
+        if name not in truth:
+            if name[:1] != "v" or name[1:] not in truth:
+                raise InputError(f"truth: found no truth_{name}, expected every state's")
+            truth[name] = _rate(truth[name[1:]], log.time)
+    return torch.stack([truth[name] for name in filter.states], dim=-1)
+
+
+def measurement_errors(filter: Filter, log: Log, values: Values | None = None) -> Tensor:
+    """(T, ..., m), measured minus true; NaN where missing or where truth is unknown.
+
+    Args:
+        values: of the filter's parameters; biases among them are taken off.
+
+    Raises:
+        InputError: as :func:`true_states`.
+    """
+    log = log.only(filter.channels)
+    states, constants = true_states(filter, log), filter.prepare(values)
+    parts, at = [], 0
+    for sensor in filter.sensors:
+        z = log.z[..., at : at + len(sensor.channels)]
+        parts.append(sensor.residual(z, sensor.predict(states, log.inputs, constants)))
+        at += len(sensor.channels)
+    return torch.cat(parts, dim=-1)
+
+
+def _rate(x: Tensor, time: Tensor) -> Tensor:
+    """Central difference over time, one-sided at the ends."""
+    time = time.reshape(len(time), *([1] * (x.dim() - 1)) if time.dim() == 1 else time.shape[1:])
+    later, earlier = torch.cat([x[1:], x[-1:]]), torch.cat([x[:1], x[:-1]])
+    after, before = torch.cat([time[1:], time[-1:]]), torch.cat([time[:1], time[:-1]])
+    return (later - earlier) / (after - before)

@@ -1,0 +1,86 @@
+"""Information: the inverse of R for the present channels, and normal matrices to factors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.sensor import Noise, Sensor
+
+__all__ = ["Information", "covariance_factor", "stacked_noise"]
+
+
+def stacked_noise(sensors: Sequence[Sensor], constants: Values) -> Noise:
+    """Noise of all sensors' channels: (m,), (m, u) and (m,)."""
+    parts = [sensor.noise(constants) for sensor in sensors]
+    common = torch.block_diag(*(part.common for part in parts))  # type: ignore[no-untyped-call]
+    return Noise(
+        torch.cat([part.independent for part in parts]),
+        common,
+        torch.cat([part.total for part in parts]),
+    )
+
+
+class Information:
+    """R^-1 of the present channels: a missing channel leaves R and has information 0.
+
+    Args:
+        independent: (..., m), r of R = diag(r) + common common^T, positive definite.
+        common: (..., m, u); without columns everything stays diagonal.
+        present: (..., m) of bool.
+    """
+
+    def __init__(self, independent: Tensor, common: Tensor, present: Tensor) -> None:
+        self.diagonal = not common.shape[-1]
+        if self.diagonal:
+            self._inverse = present / independent
+            return
+        mask = present.to(independent.dtype)
+        both = mask.unsqueeze(-1) * mask.unsqueeze(-2)
+        noise = both * (torch.diag_embed(independent) + common @ common.mT)
+        # A missing channel becomes an independent one of unit variance, left out below.
+        lower = torch.linalg.cholesky(noise + torch.diag_embed(1.0 - mask))
+        self._inverse = both * torch.cholesky_inverse(lower)
+
+    @property
+    def matrix(self) -> Tensor:
+        """(..., m, m)."""
+        return torch.diag_embed(self._inverse) if self.diagonal else self._inverse
+
+    def times(self, x: Tensor) -> Tensor:
+        """R^-1 x of columns (..., m, k)."""
+        return self._inverse.unsqueeze(-1) * x if self.diagonal else self._inverse @ x
+
+    def square(self, x: Tensor) -> Tensor:
+        """x^T R^-1 x of each vector (..., m): (...)."""
+        return (x * self.times(x.unsqueeze(-1)).squeeze(-1)).sum(-1)
+
+
+def covariance_factor(normal: Tensor) -> tuple[Tensor, Tensor]:
+    """Factor F of the inverse of a normal matrix, F F^T = N^-1, and whether N is regular.
+
+    Args:
+        normal: (..., a, a), symmetric positive semidefinite.
+
+    Returns:
+        F (..., a, a), upper triangular, arbitrary but finite where N is singular to the
+        precision; and (...) of bool.
+    """
+    diagonal = normal.diagonal(dim1=-2, dim2=-1)
+    regular = (diagonal > 0).all(-1) & torch.isfinite(normal).all(-1).all(-1)
+    unit = torch.eye(normal.shape[-1], dtype=normal.dtype, device=normal.device)
+    # A unit diagonal makes the pivots comparable, whatever the units.
+    scale = torch.where(regular.unsqueeze(-1), diagonal, 1.0).rsqrt()
+    scaled = normal * scale.unsqueeze(-1) * scale.unsqueeze(-2)
+    scaled = torch.where(regular[..., None, None], scaled, unit)
+    pivots, failed = torch.linalg.cholesky_ex(scaled.detach())
+    smallest = 32 * torch.finfo(normal.dtype).eps
+    large = pivots.diagonal(dim1=-2, dim2=-1).square() > smallest
+    regular = regular & (failed == 0) & large.all(-1)
+    # A second factor: the gradient through a failed one is NaN, even where it is left out.
+    lower = torch.linalg.cholesky_ex(torch.where(regular[..., None, None], scaled, unit)).L
+    inverse = torch.linalg.solve_triangular(lower, unit.expand_as(lower), upper=False)
+    return scale.unsqueeze(-1) * inverse.mT, regular

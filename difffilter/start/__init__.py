@@ -1,0 +1,1 @@
+"""Where a run begins: fits of the first rows to positions, ranges, bearings."""

@@ -1,0 +1,151 @@
+"""Damped, iterated, weighted least squares for a position."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from difffilter.core.linalg import positive_sqrt
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.information import Information, covariance_factor, stacked_noise
+from difffilter.sensors.sensor import Sensor
+
+__all__ = ["Fix", "Weigh", "gauss_newton", "residual"]
+
+Inputs = Mapping[str, Tensor]
+Weigh = Callable[[Tensor], Tensor]
+
+FIRST_DAMPING = 1e-3
+DAMPING_FACTOR = 10.0
+
+
+class Fix(NamedTuple):
+    """A position and the deviations of its error; NaN where the data do not determine it.
+
+    Attributes:
+        position: (..., axes), m.
+        deviations: (..., axes, axes), m; covariance = deviations deviations^T.
+    """
+
+    position: Tensor
+    deviations: Tensor
+
+
+def gauss_newton(
+    sensors: Sequence[Sensor],
+    constants: Values,
+    z: Tensor,
+    inputs: Inputs,
+    start: Tensor,
+    weigh: Weigh | None = None,
+    iterations: int = 20,
+    *,
+    epochs: bool = False,
+    states: int | None = None,
+) -> Fix:
+    """Least squares of measurements towards a position, over any leading dimensions.
+
+    With H the gradient of h at p, e = z - h(p) and M = diag(sqrt w) R^-1 diag(sqrt w)::
+
+        p <- p + (H^T M H + damping I)^-1 H^T M e
+
+    (Taylor-series least squares, paper 3; the damping is Levenberg's [reconstruction]). A
+    step that does not lower e^T M e, with M of the point before, is refused and the damping
+    raised; else the damping falls, so that the last steps are Gauss-Newton's. For weights
+    that fall with the residual, as Cauchy's, each step then lowers the robust cost too.
+
+    Args:
+        sensors, constants: models and their constants, channels in the order of ``z``.
+        z: (..., m), NaN where missing; with ``epochs`` (E, ..., m), all of one position.
+        inputs: known inputs, with the leading dimensions of ``z``.
+        start: (..., axes), m; its leading dimensions broadcast with those of ``z``.
+        weigh: weights (..., m) in [0, 1] from residuals in sigmas (..., m); None for 1.
+        iterations: fixed number of steps.
+        epochs: whether the first dimension of ``z`` is summed over.
+        states: entries of the state that the sensors read: the position, then zeros.
+
+    Returns:
+        The position and (H^T M H)^-1 there as deviations; NaN where fewer channels than
+        axes are present or their gradients do not span the space.
+    """
+    if not epochs:
+        z, inputs = z.unsqueeze(0), {name: value.unsqueeze(0) for name, value in inputs.items()}
+    axes = start.shape[-1]
+    lead = torch.broadcast_shapes(start.shape[:-1], z.shape[1:-1])  # type: ignore[no-untyped-call]
+    position = start.expand(*lead, axes)
+    present = ~torch.isnan(z)
+    noise = stacked_noise(sensors, constants)
+    inverse = Information(noise.independent, noise.common, present)
+    sigma = noise.total.sqrt()
+    size = states or axes
+
+    def root_weights(error: Tensor) -> Tensor:
+        return torch.ones_like(error) if weigh is None else positive_sqrt(weigh(error / sigma))
+
+    def cost(root: Tensor, error: Tensor) -> Tensor:
+        return inverse.square(root * error).sum(0)
+
+    def normal(root: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
+        """H^T M H, and M H for the right-hand side."""
+        scaled = root.unsqueeze(-1)
+        weighted = scaled * inverse.times(scaled * gradient)
+        return (gradient.unsqueeze(-1) * weighted.unsqueeze(-2)).sum((0, -3)), weighted
+
+    damping = position.new_full(lead, FIRST_DAMPING)
+    unit = torch.eye(axes, dtype=position.dtype, device=position.device)
+    error, gradient = _linearise(sensors, constants, z, inputs, position, size)
+    # Near the minimum the costs differ by the rounding of z - h alone, and steps still improve.
+    slack = 1.0 + 1e4 * torch.finfo(position.dtype).eps
+    for _ in range(iterations):
+        root = root_weights(error)
+        matrix, weighted = normal(root, gradient)
+        downhill = (weighted * error.unsqueeze(-1)).sum((0, -2))
+        scale = matrix.diagonal(dim1=-2, dim2=-1).mean(-1)
+        factor, regular = covariance_factor(matrix + (damping * scale)[..., None, None] * unit)
+        shift = (factor @ (factor.mT @ downhill.unsqueeze(-1))).squeeze(-1)
+        trial = position + torch.where(regular.unsqueeze(-1), shift, 0.0)
+        new_error, new_gradient = _linearise(sensors, constants, z, inputs, trial, size)
+        better = cost(root, new_error) <= slack * cost(root, error)
+        damping = torch.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
+        accept = better.unsqueeze(-1)
+        position = torch.where(accept, trial, position)
+        error = torch.where(accept, new_error, error)
+        gradient = torch.where(accept.unsqueeze(-1), new_gradient, gradient)
+    factor, regular = covariance_factor(normal(root_weights(error), gradient)[0])
+    known = regular & (present.sum((0, -1)) >= axes)
+    return Fix(
+        torch.where(known.unsqueeze(-1), position, torch.nan),
+        torch.where(known[..., None, None], factor, torch.nan),
+    )
+
+
+def residual(sensors: Sequence[Sensor], z: Tensor, predicted: Sequence[Tensor]) -> Tensor:
+    """Measurement minus the sensors' predictions, (..., m); 0 where missing."""
+    parts, at = [], 0
+    for sensor, h in zip(sensors, predicted, strict=True):
+        part = z[..., at : at + h.shape[-1]]
+        at += h.shape[-1]
+        parts.append(sensor.residual(torch.where(torch.isnan(part), h, part), h))
+    return torch.cat(parts, dim=-1)
+
+
+def _linearise(
+    sensors: Sequence[Sensor],
+    constants: Values,
+    z: Tensor,
+    inputs: Inputs,
+    position: Tensor,
+    states: int,
+) -> tuple[Tensor, Tensor]:
+    """Residual (..., m) and gradient of h towards the position (..., m, axes)."""
+    axes = position.shape[-1]
+    state = torch.nn.functional.pad(position, (0, states - axes))
+    along = torch.eye(states, axes, dtype=position.dtype, device=position.device)
+    along = along.expand(*position.shape[:-1], states, axes)
+    observed = [sensor.observe(state, along, inputs, constants) for sensor in sensors]
+    lead = torch.broadcast_shapes(*(gradient.shape[:-2] for _, gradient in observed))  # type: ignore[no-untyped-call]
+    gradient = torch.cat([g.expand(*lead, *g.shape[-2:]) for _, g in observed], dim=-2)
+    return residual(sensors, z, [h for h, _ in observed]), gradient

@@ -1,0 +1,1 @@
+"""Whether to adopt tuned values, and at what risk."""

@@ -1,0 +1,1 @@
+"""Weight functions of a standardised residual, hard and soft, and their registry."""

@@ -1,0 +1,153 @@
+"""The experiments run from end to end, at small sizes, on the public interface alone."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import difffilter as df
+
+ROOT = Path(__file__).resolve().parents[2]
+TRAINING = ROOT / "training"
+UWB = ROOT.parent / "shared" / "data" / "uwb_ranges"
+PUBLIC = {
+    "difffilter",
+    "difffilter.reports.report",
+    "difffilter.scoring.metrics",
+    "difffilter.files",
+    "difffilter.comparison.optimality",
+    "difffilter.adaptation.trust",
+}
+
+
+def run_quick(script: str, out: Path) -> dict:
+    """Run an experiment with --quick; returns its report.json."""
+    command = [sys.executable, str(TRAINING / script), "--quick", "--quiet", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads((out / "report.json").read_text())
+
+
+def test_the_airport_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("airport_mlat.py", tmp_path)
+    assert len(report["tables"]["reference values"]) == 30
+    assert len(report["comparisons"]) == 3
+    for figure in report["figures"]:
+        assert (tmp_path / f"{figure['name']}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{figure['name']}.svg").is_file()
+    for stem in ("airport-mlat", "airport-mlat-intermittent", "airport-mlat-literal-50ns"):
+        assert df.load(tmp_path / f"{stem}.json").system == "m-ekf"
+
+
+def test_the_bearing_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("airborne_bearing.py", tmp_path)
+    for name in ("airborne-bearing", "airborne-bearing-clean"):
+        rows = report["tables"][f"curves, {name}"]
+        assert {row["system"] for row in rows} == {
+            "ls", "weighted-ls", "ekf", "robust", "robust-noise", "gated", "clairvoyant",
+        }  # fmt: skip
+        assert [row["from"] for row in rows].count("specification") == 4
+    assert {f"figure-{number}" for number in (2, 3, 4)} | {"lock-out"} <= {
+        figure["name"] for figure in report["figures"]
+    }
+    for figure in report["figures"]:
+        assert (tmp_path / f"{figure['name']}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{figure['name']}.svg").is_file()
+    for stem in ("airborne-bearing", "airborne-bearing-clean", "airborne-bearing-multipath"):
+        tuned = df.load(tmp_path / f"{stem}.json")
+        assert (tuned.system, tuned.scenario.name) == ("gated", stem)
+        assert tuned.values["start.sigma"][2:].tolist() == [0.0, 0.0]
+
+
+def test_the_urban_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("urban_credibility.py", tmp_path)
+    rows = report["tables"]["table 1"]
+    assert [row["algorithm"] for row in rows if row["from"] == "paper"] == [
+        "standard",
+        "credibility",
+        "ideal",
+    ]
+    here = {row["algorithm"] for row in rows if row["from"] == "here"}
+    assert here == {"standard", "credibility", "ideal", "tuned mapping alone", "tuned"}
+    names = {figure["name"] for figure in report["figures"]}
+    assert {"figure-3-trust-traps", "figure-4-errors", "fsp-surface"} <= names
+    for figure in report["figures"]:
+        assert (tmp_path / f"{figure['name']}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{figure['name']}.svg").is_file()
+    tuned = df.load(tmp_path / "urban-credibility.json")
+    assert (tuned.system, tuned.scenario.name) == ("credibility", "urban-credibility")
+
+
+def test_the_manoeuvre_experiment_runs_and_leaves_reports_figures_and_checkpoints(
+    tmp_path: Path,
+) -> None:
+    report = run_quick("manoeuvre_fusion.py", tmp_path)
+    rows = report["tables"]["reference"]
+    assert [row["system"] for row in rows if row["from"] == "specification"] == [
+        "srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf", "fusion",
+    ]  # fmt: skip
+    assert len([row for row in rows if row["from"] == "here"]) == 9
+    assert len(report["tables"]["tuned"]) == 4
+    assert {row["system"] for row in report["tables"]["equal terms"]} >= {"fusion", "pooled-robust"}
+    assert len(report["claims"]) == 9
+    names = {figure["name"] for figure in report["figures"]}
+    assert names == {"figure-2-track", *(f"figure-{number}" for number in range(3, 9))}
+    for name in names:
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{name}.svg").is_file()
+    for stem in ("manoeuvre-fusion-1", "manoeuvre-fusion-2"):
+        tuned = df.load(tmp_path / f"{stem}.json")
+        assert (tuned.system, tuned.scenario.name) == ("fusion", stem)
+        assert {"matching.beta", "correction.lambda", "r.sigma"} <= set(tuned.values)
+
+
+@pytest.mark.skipif(not UWB.is_dir(), reason="no UWB recordings in ../shared/data/uwb_ranges")
+def test_the_uwb_experiment_runs_all_four_rotations(tmp_path: Path) -> None:
+    report = run_quick("uwb_ranges.py", tmp_path)
+    rows = report["tables"]["held-out runs"]
+    assert {row["run"] for row in rows} == {"los_A1", "los_A2", "nlos_A1", "nlos_A2"}
+    assert len([row for row in rows if row["values"].startswith("tuned")]) == 12
+    transferred = report["tables"]["transfer"]
+    assert len(transferred) == 4 * 11
+    assert len([row for row in transferred if row["in-sample"]]) == 8
+    assert len([claim for claim in report["claims"] if "simulation" in claim["claim"]]) == 2
+    assert {"transfer", "transfer-nees"} <= {figure["name"] for figure in report["figures"]}
+    for stem in ("uwb-ranges", "uwb-simulated"):
+        frozen = df.load(tmp_path / f"{stem}.json")
+        assert (frozen.system, frozen.scenario.name) == ("robust", stem)
+        assert set(frozen.values) == {
+            "motion.acceleration",
+            "range.sigma",
+            "range.bias",
+            "imq.k",
+            "start.sigma",
+        }
+
+
+def test_without_recordings_the_uwb_experiment_says_that_it_is_skipped(tmp_path: Path) -> None:
+    command = [sys.executable, str(TRAINING / "uwb_ranges.py"), "--data", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stdout.startswith(f"skipped: no recordings in {tmp_path}")
+
+
+@pytest.mark.parametrize("script", sorted(TRAINING.glob("*.py")), ids=lambda path: path.stem)
+def test_training_scripts_use_only_the_public_interface(script: Path) -> None:
+    for node in ast.walk(ast.parse(script.read_text())):
+        names = []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        for name in names:
+            if name.startswith("difffilter"):
+                assert name in PUBLIC or name.startswith("difffilter.reports.figures"), name
