@@ -1,0 +1,72 @@
+"""Names for things: one table per kind, and a user's own entries work like built-in ones."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from typing import Generic, TypeVar
+
+from difffilter.errors import InputError
+
+__all__ = ["NAME", "Registry"]
+
+T = TypeVar("T")
+
+#: What a name may look like: a letter, then letters (of any script), digits, ``_`` and ``-``.
+NAME = re.compile(r"[^\W\d_][\w-]{0,63}")
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """Entries of one kind by name, in the order of their registration.
+
+    Args:
+        kind: what an entry is, for messages: ``weight``, ``sensor``.
+
+    Example:
+        >>> colours: Registry[int] = Registry("colour")
+        >>> colours.add("red", 0xFF0000)
+        16711680
+        >>> sorted(colours)
+        ['red']
+    """
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        self._entries: dict[str, T] = {}
+
+    def add(self, name: str, entry: T) -> T:
+        """Register an entry; InputError if the name is taken by another or is no name."""
+        if not NAME.fullmatch(name):
+            raise InputError(
+                f"{self.kind}: found name {name[:80]!r}, expected a letter, then letters, digits, "
+                "_ and -, at most 64"
+            )
+        if self._entries.setdefault(name, entry) is not entry:
+            raise InputError(f"{self.kind} {name}: registered already, expected another name")
+        return entry
+
+    def register(self, name: str) -> Callable[[T], T]:
+        """Decorator: ``@WEIGHTS.register("mine")``."""
+        return lambda entry: self.add(name, entry)
+
+    def __getitem__(self, name: str) -> T:
+        try:
+            return self._entries[name]
+        except KeyError:
+            expected = ", ".join(self._entries)
+            raise InputError(
+                f"{self.kind}: found {name!r:.80}, expected one of {expected}"
+            ) from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._entries
+
+    def get(self, name: str, default: T | None = None) -> T | None:  # type: ignore[override]
+        """The entry, or the default."""
+        return self._entries.get(name, default)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
