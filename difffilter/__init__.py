@@ -8,7 +8,9 @@ from difffilter.adaptation import (
     StrongTracking,
 )
 from difffilter.adaptation.credibility import Credibility
+from difffilter.adaptation.registry import ADAPTATIONS, Host, adaptation
 from difffilter.adaptation.trust import trust_gap
+from difffilter.baselines.registry import BASELINES, Given, baseline
 from difffilter.comparison.comparison import Comparison, compare
 from difffilter.comparison.optimality import FSP, fsp, fsp_surface, ratio_gain
 from difffilter.core.beliefs import Belief, Measurement, Record, belief
@@ -59,10 +61,13 @@ from difffilter.weights.registry import (
     student_t,
     tanh,
     tukey,
+    weight,
     welsch,
 )
 
 __all__ = [
+    "ADAPTATIONS",
+    "BASELINES",
     "FSP",
     "TDOA",
     "WEIGHTS",
@@ -82,6 +87,8 @@ __all__ = [
     "FunctionSensor",
     "Fusion",
     "Gate",
+    "Given",
+    "Host",
     "InnovationMatching",
     "InputError",
     "Log",
@@ -107,7 +114,9 @@ __all__ = [
     "TuneResult",
     "TuneSettings",
     "Weight",
+    "adaptation",
     "barron",
+    "baseline",
     "belief",
     "cauchy",
     "compare",
@@ -142,6 +151,7 @@ __all__ = [
     "trust_gap",
     "tukey",
     "tune",
+    "weight",
     "welsch",
     "wrap",
     "write_log",

@@ -49,6 +49,12 @@ class Registry(Mapping[str, T], Generic[T]):
         """Decorator: ``@WEIGHTS.register("mine")``."""
         return lambda entry: self.add(name, entry)
 
+    def remove(self, name: str) -> T:
+        """Take an entry out again, and return it: to register a changed one in a notebook."""
+        entry = self[name]
+        del self._entries[name]
+        return entry
+
     def __getitem__(self, name: str) -> T:
         try:
             return self._entries[name]

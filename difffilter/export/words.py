@@ -36,7 +36,7 @@ def about(checkpoint: Checkpoint) -> str:
     options = [
         f"{key} {value if isinstance(value, str) else ', '.join(value)}"
         for key in ("weight", "standardise", "gate", "recovery", "adaptation", "fusion")
-        for value in [getattr(spec, key)]
+        for value in [spec.options[key]]
         if value and value not in ("none", "plain")
     ]
     if filter.iterations:

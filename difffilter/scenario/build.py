@@ -2,40 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
-from difffilter.adaptation import (
-    Chain,
-    InnovationMatching,
-    MultipleFading,
-    PredictionCorrection,
-    StrongTracking,
-)
-from difffilter.adaptation.credibility import Credibility
-from difffilter.adaptation.protocol import Adaptation
-from difffilter.adaptation.scaling import InnovationScaling
-from difffilter.baselines.bearing_lines import BearingLeastSquares
-from difffilter.baselines.chan import ChanLeastSquares
-from difffilter.baselines.chan_ekf import ChanEKF
-from difffilter.baselines.least_squares import TaylorLeastSquares
+from difffilter.adaptation.registry import Host
+from difffilter.baselines.least_squares import Snapshot
+from difffilter.baselines.registry import BASELINES, Given
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
-from difffilter.filters.fusion import Fusion
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import Number
-from difffilter.robust.gate import Gate
 from difffilter.robust.groups import channel_groups
-from difffilter.robust.recovery import Recovery
+from difffilter.scenario.options import OPTIONS
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.systems import MotionSpec, ParameterSpec, SystemSpec
-from difffilter.sensors.builtin import TDOA, PositionSensor
-from difffilter.weights.registry import weight_named
+from difffilter.sensors.builtin import TDOA
+from difffilter.weights.registry import WEIGHTS
 
 __all__ = ["System", "build_system"]
 
 #: What a scenario calls a system: a recursive filter, or a baseline estimator.
-System = Filter | TaylorLeastSquares | ChanLeastSquares | ChanEKF | BearingLeastSquares
+System = Filter | Snapshot
 
 
 def build_system(
@@ -69,12 +56,24 @@ def build_system(
     )
     if spec.common_noise and not any(isinstance(model, TDOA) for model in models):
         raise where("common_noise: found no TDOA sensor, expected one with it")
-    level = value(motion.parameter)
-    if level is None and spec.estimator in ("filter", "chan-ekf"):
-        raise where(f"needs [parameters.{motion.parameter}], found none")
+
+    def moving() -> ConstantVelocity:
+        level = value(motion.parameter)
+        if level is None:
+            raise InputError(f"needs [parameters.{motion.parameter}], found none")
+        return motion.build(axes, level)
+
+    given = Given(
+        sensors=models,
+        axes=axes,
+        moving=moving,
+        start_sigma=value("start.sigma"),
+        known_velocity=velocity,
+    )
     try:
-        moving = motion.build(axes, 1.0 if level is None else level)
-        bare = _bare_system(spec, axes, moving, models, value("start.sigma"), velocity)
+        bare = (
+            _filter(spec, given) if spec.estimator == "filter" else BASELINES[spec.estimator](given)
+        )
         own = bare.declarations
     except InputError as error:
         raise where(error) from None
@@ -100,66 +99,12 @@ def _own_values(
     return {**parameters, **own}
 
 
-def _bare_system(
-    spec: SystemSpec,
-    axes: int,
-    motion: ConstantVelocity,
-    sensors: tuple[PositionSensor, ...],
-    start_sigma: Number | None,
-    velocity: tuple[float, ...] | None,
-) -> System:
+def _filter(spec: SystemSpec, given: Given) -> Filter:
     """The recipe alone."""
-    if spec.estimator in ("bearing-ls", "bearing-wls"):
-        if velocity is None:
-            raise InputError("estimator: found no velocity in [start], expected the target's")
-        weighted = spec.estimator == "bearing-wls"
-        return BearingLeastSquares(sensors, axes, velocity=velocity, weighted=weighted)
-    if spec.estimator == "taylor-ls":
-        return TaylorLeastSquares(sensors, axes)
-    if spec.estimator == "chan-ls":
-        return ChanLeastSquares(sensors, axes)
-    if spec.estimator == "chan-ekf":
-        return ChanEKF(sensors, axes, motion=motion, start_sigma=start_sigma)
-    return Filter(
-        motion,
-        sensors,
-        weight_named(spec.weight),
-        standardise=spec.standardise,
-        iterations=spec.iterations,
-        weigh_prior=spec.weigh_prior,
-        mad=spec.mad,
-        scope=spec.scope,
-        distance=spec.distance,
-        gate=None if spec.gate == "none" else Gate(spec.gate),
-        recovery=None if spec.recovery == "none" else Recovery(spec.recovery),
-        federated=spec.federated,
-        shares=spec.shares,
-        adaptation=_adaptation(spec, sensors, axes),
-        fusion=None if spec.fusion == "none" else Fusion(axes),
-        linearise=spec.linearise,
-        clairvoyant=spec.clairvoyant,
-        start_sigma=start_sigma,
+    counts = [len(sensor.channels) for sensor in given.sensors]
+    channels = [c for sensor in given.sensors for c in sensor.channels]
+    host = Host(
+        WEIGHTS[spec.options["weight"]], channel_groups("sensor", channels, counts), given.axes
     )
-
-
-def _adaptation(
-    spec: SystemSpec, sensors: tuple[PositionSensor, ...], axes: int
-) -> Adaptation | None:
-    """The plug-in of that name, or a chain of several."""
-    counts = [len(sensor.channels) for sensor in sensors]
-    channels = [c for sensor in sensors for c in sensor.channels]
-    systems = channel_groups("sensor", channels, counts)
-    weight = weight_named(spec.weight)
-    build: dict[str, Callable[[], Adaptation]] = {
-        "innovation-scaling": InnovationScaling,
-        "credibility": lambda: Credibility(systems, axes),
-        "ideal-credibility": lambda: Credibility(systems, axes, ideal=True),
-        "innovation-matching": InnovationMatching,
-        "prediction-correction": lambda: PredictionCorrection(axes),
-        "strong-tracking": lambda: StrongTracking(weight),
-        "multiple-fading": lambda: MultipleFading(weight),
-    }
-    parts = tuple(build[name]() for name in spec.adaptations)
-    if not parts:
-        return None
-    return parts[0] if len(parts) == 1 else Chain(parts)
+    options = {key: option.make(spec.options[key], host) for key, option in OPTIONS.items()}
+    return Filter(given.motion, given.sensors, start_sigma=given.start_sigma, **options)

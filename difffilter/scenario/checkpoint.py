@@ -104,7 +104,6 @@ class Checkpoint:
         """What the JSON file holds."""
         declarations = self.published_filter.declarations
         spec = self.scenario.systems[self.system]
-        recipe = {key: value for key, value in vars(spec).items() if key not in ("where", "note")}
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -121,7 +120,7 @@ class Checkpoint:
                 }
                 for name, parameter in declarations.items()
             },
-            "recipe": {key: _listed(value) for key, value in recipe.items()},
+            "recipe": {key: _listed(value) for key, value in spec.recipe.items()},
             "training": dict(self.training),
             "result": dict(self.result),
             "versions": library_versions(),

@@ -6,44 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from difffilter.baselines.registry import BASELINES
 from difffilter.errors import InputError
-from difffilter.filters.filter import RULES, STANDARDISATIONS
 from difffilter.motions.blocks import NOISES, ConstantVelocity, CoordinatedTurn
 from difffilter.parameters.parameters import Number, Parameter, as_number
-from difffilter.robust.gate import ACTIONS
-from difffilter.robust.groups import DISTANCES, SCOPES, Scope
-from difffilter.robust.recovery import RECOVERIES
+from difffilter.scenario.options import OPTIONS, adaptation_names
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import MEASURES, Table
-from difffilter.weights.registry import WEIGHTS
 
 __all__ = ["MotionSpec", "ParameterSpec", "SystemSpec", "read_system", "recipes"]
 
-ESTIMATORS = ("filter", "taylor-ls", "chan-ls", "chan-ekf", "bearing-ls", "bearing-wls")
-ADAPTATIONS = (
-    "innovation-scaling", "credibility", "ideal-credibility", "innovation-matching",
-    "prediction-correction", "strong-tracking", "multiple-fading",
-)  # fmt: skip
 MODELS = ("constant-velocity", "coordinated-turn")
-FUSIONS = ("none", "distributed")
-#: Keys of a system that no baseline reads.
-FILTER_KEYS = (
-    "weight",
-    "standardise",
-    "iterations",
-    "weigh_prior",
-    "mad",
-    "scope",
-    "distance",
-    "gate",
-    "recovery",
-    "federated",
-    "shares",
-    "adaptation",
-    "linearise",
-    "fusion",
-    "clairvoyant",
-)
 
 
 @dataclass(frozen=True)
@@ -96,37 +69,39 @@ class MotionSpec:
 
 @dataclass(frozen=True)
 class SystemSpec:
-    """One entry of ``[systems]``, as read."""
+    """One entry of ``[systems]``, as read.
+
+    Attributes:
+        options: of a filter, by key (see :mod:`difffilter.scenario.options`).
+        common_noise: whether a TDOA sensor's noise is partly common to its channels.
+        values: published values of its own, by parameter.
+    """
 
     name: str
     where: str
     estimator: str
-    weight: str
-    standardise: str | None
-    iterations: int
-    weigh_prior: bool
-    mad: bool
-    scope: Scope
-    distance: str
-    gate: str
-    recovery: str
-    federated: bool
-    shares: tuple[float, ...]
-    adaptation: str | tuple[str, ...]
-    linearise: str
-    fusion: str
-    clairvoyant: bool
+    options: Mapping[str, Any]
     common_noise: bool
     sensors: tuple[str, ...]
     values: Mapping[str, Number]
     note: str
 
     @property
-    def adaptations(self) -> tuple[str, ...]:
-        """Names of the plug-ins, in order."""
-        if isinstance(self.adaptation, tuple):
-            return self.adaptation
-        return () if self.adaptation == "none" else (self.adaptation,)
+    def clairvoyant(self) -> bool:
+        """Whether it is told of faults."""
+        return bool(self.options["clairvoyant"])
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """Every key with its value, as a checkpoint lists them."""
+        return {
+            "name": self.name,
+            "estimator": self.estimator,
+            **self.options,
+            "common_noise": self.common_noise,
+            "sensors": self.sensors,
+            "values": self.values,
+        }
 
 
 def read_motion(table: Table) -> MotionSpec:
@@ -143,56 +118,40 @@ def read_system(name: str, table: Table, sensors: Mapping[str, SensorSpec]) -> S
     """Read ``[systems.NAME]``; by default it uses every sensor that is not pooled of others."""
     own = tuple(name for name, sensor in sensors.items() if not sensor.pool)
     spec = SystemSpec(
-        name,
-        f"{table.where}: {table.path}",
-        table.text("estimator", "filter", choices=ESTIMATORS),
-        table.text("weight", "plain", choices=tuple(WEIGHTS)),
-        table.text("standardise", None, choices=STANDARDISATIONS),
-        table.integer("iterations", 0),
-        table.flag("weigh_prior"),
-        table.flag("mad"),
-        _read_scope(table),
-        table.text("distance", "rms", choices=DISTANCES),
-        table.text("gate", "none", choices=("none", *ACTIONS)),
-        table.text("recovery", "none", choices=("none", *RECOVERIES)),
-        table.flag("federated"),
-        table.numbers("shares", None, ()),
-        _read_adaptation(table),
-        table.text("linearise", "taylor", choices=RULES),
-        table.text("fusion", "none", choices=FUSIONS),
-        table.flag("clairvoyant"),
-        table.flag("common_noise"),
-        table.names("sensors", own),
-        _read_values(table.table("values", optional=True)),
-        table.text("note", ""),
+        name=name,
+        where=f"{table.where}: {table.path}",
+        estimator=table.text("estimator", "filter", choices=("filter", *BASELINES)),
+        options={key: option.read(table, key) for key, option in OPTIONS.items()},
+        common_noise=table.flag("common_noise"),
+        sensors=table.names("sensors", own),
+        values=_read_values(table.table("values", optional=True)),
+        note=table.text("note", ""),
     )
     if not spec.sensors or len(set(spec.sensors)) != len(spec.sensors):
         table.fail("sensors", "one name or more, none twice")
     for sensor in spec.sensors:
         if sensor not in sensors:
             table.fail("sensors", f"names among {', '.join(sensors)}")
-    for key in FILTER_KEYS:
+    for key in OPTIONS:
         if key in table and spec.estimator != "filter":
             table.fail(key, f"no such key beside estimator = {spec.estimator!r}")
-    if spec.adaptations and spec.common_noise and spec.weigh_prior:
-        table.fail("adaptation", "none together with common_noise and weigh_prior")
-    credible = any("credibility" in name for name in spec.adaptations)
-    if credible and spec.common_noise:
-        table.fail("adaptation", "no credibility together with common_noise")
-    if credible and len(spec.sensors) < 2:
-        table.fail("adaptation", "two sensors or more with credibility")
-    if spec.federated and len(spec.sensors) < 2:
-        table.fail("federated", "two sensors or more with it")
+    _check_together(table, spec)
     table.finish()
     return spec
 
 
-def _read_scope(table: Table) -> Scope:
-    """``scope``: a word, or a table of groups of channels."""
-    if not isinstance(table.data.get("scope"), dict):
-        return table.text("scope", "channel", choices=SCOPES)
-    groups = table.table("scope")
-    return {name: groups.names(name) for name in groups.data}
+def _check_together(table: Table, spec: SystemSpec) -> None:
+    """Options of a filter that exclude each other, named by their keys."""
+    adaptations = adaptation_names(spec.options["adaptation"])
+    if adaptations and spec.common_noise and spec.options["weigh_prior"]:
+        table.fail("adaptation", "none together with common_noise and weigh_prior")
+    credible = any("credibility" in name for name in adaptations)
+    if credible and spec.common_noise:
+        table.fail("adaptation", "no credibility together with common_noise")
+    if credible and len(spec.sensors) < 2:
+        table.fail("adaptation", "two sensors or more with credibility")
+    if spec.options["federated"] and len(spec.sensors) < 2:
+        table.fail("federated", "two sensors or more with it")
 
 
 def _read_values(table: Table) -> dict[str, Number]:
@@ -226,16 +185,6 @@ def _scaled(value: Number, factor: float) -> Number:
     if isinstance(value, tuple):
         return tuple(_scaled(item, factor) for item in value)  # type: ignore[return-value]
     return value * factor
-
-
-def _read_adaptation(table: Table) -> str | tuple[str, ...]:
-    """``adaptation``: a name, or a list of names."""
-    if isinstance(table.data.get("adaptation"), list):
-        names = table.names("adaptation")
-        if not set(names) <= set(ADAPTATIONS) or len(set(names)) != len(names):
-            table.fail("adaptation", f"names among {', '.join(ADAPTATIONS)}, none twice")
-        return names
-    return table.text("adaptation", "none", choices=("none", *ADAPTATIONS))
 
 
 def recipes(systems: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:

@@ -31,6 +31,8 @@ from difffilter import (
 )
 from difffilter.adaptation import scaling
 from difffilter.adaptation.credibility import Credibility
+from difffilter.adaptation.registry import ADAPTATIONS
+from difffilter.baselines.registry import BASELINES
 from difffilter.comparison.comparison import compare
 from difffilter.core.beliefs import Record
 from difffilter.engine.build import compiler
@@ -38,7 +40,7 @@ from difffilter.export.c99 import export_c
 from difffilter.filters.filter import RULES, STANDARDISATIONS
 from difffilter.motions import blocks as motion
 from difffilter.robust import gate, groups, recovery
-from difffilter.scenario import checkpoint, faults, scenario, sensing, systems, table
+from difffilter.scenario import checkpoint, faults, options, scenario, sensing, systems, table
 from difffilter.scenario.scenario import load_scenario
 from difffilter.scenario.settings import OPTIMISERS, TuneSettings
 from difffilter.scenario.simulation import simulate
@@ -101,17 +103,18 @@ def sections(page: Path) -> dict[str, str]:
 
 
 @pytest.fixture
-def only_known_weights() -> Iterator[None]:
+def only_built_in() -> Iterator[None]:
     """Take back what an example registers."""
-    known = dict(WEIGHTS)
+    known = [(registry, set(registry)) for registry in (WEIGHTS, ADAPTATIONS, BASELINES)]
     yield
-    WEIGHTS.clear()
-    WEIGHTS.update(known)
+    for registry, names in known:
+        for name in set(registry) - names:
+            registry.remove(name)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
 def test_examples_run(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, only_known_weights: None
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, only_built_in: None
 ) -> None:
     """A page's files, commands and Python blocks, in order, in one folder and one namespace."""
     shutil.copytree(DOCS, tmp_path / "docs")
@@ -384,8 +387,8 @@ def test_every_choice_is_documented() -> None:
     text = without_code(DOCS / "scenario-files.md")
     choices = (
         *sensing.KINDS, *faults.KINDS, *WEIGHTS, *LOSSES, *gate.ACTIONS, *motion.NOISES,
-        *STANDARDISATIONS, *RULES, *systems.MODELS, *systems.FUSIONS, *systems.ESTIMATORS,
-        *systems.ADAPTATIONS, *(unit for units in table.MEASURES.values() for unit in units),
+        *STANDARDISATIONS, *RULES, *systems.MODELS, *options.FUSIONS, "filter", *BASELINES,
+        *ADAPTATIONS, *(unit for units in table.MEASURES.values() for unit in units),
         *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *scenario.STARTS, *metrics.SCORES,
         *OPTIMISERS, "constant", "uniform", "normal", "sigma",
     )  # fmt: skip

@@ -59,7 +59,7 @@ def test_the_simulated_world_keeps_what_the_recorded_one_assumes() -> None:
         assert made.document[key] == recorded.document[key]
     for name, spec in recorded.systems.items():
         assert made.system(name).declarations == recorded.system(name).declarations
-        assert made.systems[name].weight == spec.weight
+        assert made.systems[name].options["weight"] == spec.options["weight"]
     assert made.tuning.loss == recorded.tuning.loss
     assert made.tuning.system == recorded.tuning.system
 

@@ -15,7 +15,6 @@ from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
-from difffilter.scenario import build
 from difffilter.scenario.scenario import load_scenario
 from difffilter.scenario.simulation import simulate
 from difffilter.scoring.losses import LossContext
@@ -110,15 +109,16 @@ def test_a_gradient_that_is_not_finite_is_located(step: int, trajectory: int, ch
     assert str(error).startswith("gradient is not finite: trajectory ")
 
 
-def test_tuning_stops_at_a_gradient_that_is_not_finite(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        build, "weight_named", lambda name: _trap(15.0) if name == "huber" else WEIGHTS[name]
-    )
-    keys = {"systems.ekf.weight": "huber", "systems.ekf.standardise": "noise"}
+def test_tuning_stops_at_a_gradient_that_is_not_finite() -> None:
+    WEIGHTS.add("trap", _trap(15.0))
+    keys = {"systems.ekf.weight": "trap", "systems.ekf.standardise": "noise"}
     scenario = airport(faults__nlos__channels=["tdoa_4"], faults__nlos__scale=400.0)
-    scenario = scenario.with_overrides(keys)
-    with pytest.raises(NonFiniteError, match="gradient is not finite") as caught:
-        tuned(scenario=scenario, settings={"system": "ekf"})
+    try:
+        scenario = scenario.with_overrides(keys)
+        with pytest.raises(NonFiniteError, match="gradient is not finite") as caught:
+            tuned(scenario=scenario, settings={"system": "ekf"})
+    finally:
+        WEIGHTS.remove("trap")
     assert caught.value.channel == "tdoa_4"
     assert 0 <= caught.value.step < 12
     assert 0 <= caught.value.trajectory < FEW["batch"]

@@ -14,7 +14,7 @@ from oracles import weights as published
 from weight_cases import NAMES, TEMPERATURES, Numbers, clipping_points, evaluate, values_of
 
 from difffilter.errors import InputError
-from difffilter.weights.registry import WEIGHTS, weight_named
+from difffilter.weights.registry import WEIGHTS
 
 ORACLES: dict[str, Callable[..., np.ndarray]] = {
     name: getattr(published, name.replace("-", "_")) for name in NAMES
@@ -122,9 +122,9 @@ def test_the_implicit_gradient_of_the_slope_matches_finite_differences(
 
 
 def test_an_unknown_weight_is_an_error_that_lists_the_known() -> None:
-    assert weight_named("huber") is WEIGHTS["huber"]
+    assert WEIGHTS["huber"].name == "huber"
     with pytest.raises(InputError, match=r"hubber.*huber"):
-        weight_named("hubber")
+        WEIGHTS["hubber"]
 
 
 @pytest.mark.parametrize("temperature", TEMPERATURES)
