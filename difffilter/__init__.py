@@ -25,6 +25,7 @@ from difffilter.errors import (
 from difffilter.filters.filter import Filter
 from difffilter.filters.fusion import Fusion
 from difffilter.filters.stepping import step
+from difffilter.logs.family import Family, Member
 from difffilter.logs.log import Log, Start, stack_logs
 from difffilter.logs.logfile import read_log, write_log
 from difffilter.logs.track import Track
@@ -38,6 +39,7 @@ from difffilter.running.tracker import Tracker
 from difffilter.scenario.checkpoint import Checkpoint, load, save
 from difffilter.scenario.document import scenario_names
 from difffilter.scenario.estimation import estimate, started
+from difffilter.scenario.families import family
 from difffilter.scenario.recorded import load_logs
 from difffilter.scenario.scenario import Scenario, load_scenario
 from difffilter.scenario.settings import TuneSettings
@@ -81,6 +83,7 @@ __all__ = [
     "CoordinatedTurn",
     "Credibility",
     "DifffilterError",
+    "Family",
     "Federation",
     "Filter",
     "FunctionMotion",
@@ -94,6 +97,7 @@ __all__ = [
     "Log",
     "LogError",
     "Measurement",
+    "Member",
     "MultipleFading",
     "NonFiniteError",
     "Parameter",
@@ -123,6 +127,7 @@ __all__ = [
     "condition",
     "danish",
     "estimate",
+    "family",
     "from_bearings",
     "from_measurements",
     "fsp",

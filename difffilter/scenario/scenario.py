@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,17 @@ from difffilter.errors import InputError
 from difffilter.parameters.parameters import Parameter
 from difffilter.scenario.build import System, build_system
 from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
-from difffilter.scenario.faults import Fault, read_fault
-from difffilter.scenario.pooling import pooled_sigma
-from difffilter.scenario.sensing import SensorSpec, read_sensor
+from difffilter.scenario.evaluation import (
+    Reference,
+    Scene,
+    read_reference,
+    read_scene,
+    read_score,
+)
+from difffilter.scenario.faults import Fault
+from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.settings import TuneSettings
+from difffilter.scenario.starting import StartSpec
 from difffilter.scenario.systems import (
     MotionSpec,
     ParameterSpec,
@@ -25,55 +31,13 @@ from difffilter.scenario.systems import (
     read_system,
 )
 from difffilter.scenario.table import Table
+from difffilter.scenario.truth import read_truth
 from difffilter.scenario.tuning import read_tuning
-from difffilter.scenario.world import World, read_world
-from difffilter.scoring.metrics import SCORES, Score
-from difffilter.sensors.position import Position
+from difffilter.scenario.world import World
+from difffilter.scenario.worlds import WorldSpec, check_worlds, read_worlds
+from difffilter.scoring.metrics import Score
 
-__all__ = ["Scenario", "Scene", "StartSpec", "load_scenario"]
-
-STARTS = ("truth", "measurements", "bearings")
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A named stretch of a trajectory, for errors per scene: first <= k <= last."""
-
-    name: str
-    first: int
-    last: int
-
-
-@dataclass(frozen=True)
-class StartSpec:
-    """How trajectories start.
-
-    Attributes:
-        kind: ``truth`` (simulation only: truth plus normal errors), ``measurements``, or
-            ``bearings`` (the first ones crossed).
-        position_sigma, velocity_sigma: standard deviation of those errors, m and m/s.
-        rows: rows that a start from measurements reads.
-        unknown_velocity: m/s, standard deviation of the velocity in a start from
-            measurements; None for the filter's own ``start.sigma``.
-        velocity: m/s, of the target, where it is known (``bearings``).
-    """
-
-    kind: str
-    position_sigma: float
-    velocity_sigma: float
-    rows: int
-    unknown_velocity: float | None
-    velocity: tuple[float, ...] | None = None
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A result that somebody else published, for tables: not produced by this library."""
-
-    run: str
-    system: str
-    rmse: float
-    source: str
+__all__ = ["Scenario", "load_scenario", "read_scenario"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +52,7 @@ class Scenario:
         sensors, faults, systems: by name; motion, start: what all systems share.
         parameters: declarations by component and name.
         tuning: settings of ``[tuning]``; scenes: of ``[[scenes]]``.
+        worlds: of ``[[worlds]]``: others that the values must serve, too.
         score: which rows count.
         inputs: columns of known inputs in logs, the sensors' platform among them.
         runs: overrides for recorded runs, by the log file's stem.
@@ -108,6 +73,7 @@ class Scenario:
     parameters: Mapping[str, ParameterSpec]
     systems: Mapping[str, SystemSpec]
     tuning: TuneSettings
+    worlds: tuple[WorldSpec, ...]
     scenes: tuple[Scene, ...]
     score: Score
     inputs: tuple[str, ...]
@@ -178,97 +144,37 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
     top = Table(document, str(path))
     if top.integer("schema") != SCHEMA:
         top.fail("schema", str(SCHEMA))
-    world = read_world(top.table("world")) if "world" in top else None
-    axes = world.axes if world else top.integer("axes", 2, low=1)
-    sensors = {
-        name: read_sensor(name, part, axes) for name, part in top.table("sensors").children()
-    }
-    if not sensors:
-        top.fail("sensors", "one sensor or more")
-    sensors = {name: _pooled(top, name, sensor, sensors) for name, sensor in sensors.items()}
-    channels = [c for sensor in sensors.values() for c in sensor.model.channels]
-    if len(set(channels)) != len(channels):
-        top.fail("sensors", "no channel name twice")
-    parts = top.table("faults", optional=True).children()
-    faults = {name: read_fault(name, part, sensors.values()) for name, part in parts}
-    if faults and world is None:
-        top.fail("faults", "none in a scenario without [world]")
-    _check_platform(str(path), world, sensors)
-    for name, sensor in sensors.items():
-        if sensor.every > 1 and world is None:
-            top.table("sensors").table(name).fail("every", "none in a scenario without [world]")
+    truth = read_truth(top)
     systems = {
-        name: read_system(name, part, sensors) for name, part in top.table("systems").children()
+        name: read_system(name, part, truth.sensors)
+        for name, part in top.table("systems").children()
     }
     if not systems:
         top.fail("systems", "one system or more")
     scenario = Scenario(
-        name=top.text("name"),
+        name=top.label("name"),
         title=top.text("title"),
         source=top.text("source", ""),
         notes=top.names("notes", ()),
         path=path,
         document=document,
-        axes=axes,
-        world=world,
-        sensors=sensors,
-        faults=faults,
-        start=_read_start(top.table("start", optional=True), world is not None, axes),
+        **truth._asdict(),
         motion=read_motion(top.table("motion", optional=True)),
         parameters=read_parameters(top.table("parameters")),
         systems=systems,
         tuning=read_tuning(top.table("tuning", optional=True), tuple(systems)),
-        scenes=tuple(_read_scene(part) for part in top.tables("scenes")),
-        score=_read_score(top),
-        inputs=_inputs(top, sensors),
+        worlds=read_worlds(top),
+        scenes=tuple(read_scene(part) for part in top.tables("scenes")),
+        score=read_score(top),
+        inputs=_inputs(top, truth.sensors),
         runs={name: part.data for name, part in top.table("runs", optional=True).children()},
-        references=tuple(_read_reference(part) for part in top.tables("references")),
+        references=tuple(read_reference(part) for part in top.tables("references")),
     )
     top.finish()
     _check_parameters(scenario)
+    check_worlds(scenario)
+    _check_runs(scenario)
     return scenario
-
-
-def _read_score(top: Table) -> Score:
-    rows = top.text("score", "all", choices=SCORES)
-    first, last = top.numbers("score_times", 2, (-math.inf, math.inf))
-    if last < first:
-        top.fail("score_times", "[first, last] with first <= last")
-    return Score(rows, first, last)
-
-
-def _pooled(
-    top: Table, name: str, sensor: SensorSpec, sensors: Mapping[str, SensorSpec]
-) -> SensorSpec:
-    """A pooled sensor with the noise that its members leave; others as they are."""
-    if not sensor.pool:
-        return sensor
-    part = top.table("sensors").table(name)
-    for member in sensor.pool:
-        if member not in sensors or sensors[member].pool or member == name:
-            part.fail("pool", f"other sensors among {', '.join(sensors)}")
-        if len(sensors[member].model.channels) != len(sensor.model.channels):
-            part.fail("pool", "sensors of as many channels")
-        if not isinstance(sensors[member].model, Position):
-            part.fail("pool", "sensors of kind position")
-    sigma = pooled_sigma([sensors[member] for member in sensor.pool])
-    return replace(sensor, sigma=sigma, model=replace(sensor.model, sigma=sigma))
-
-
-def _check_platform(where: str, world: World | None, sensors: Mapping[str, SensorSpec]) -> None:
-    """A sensor rides the world's platform, and no other."""
-    riding = {name: sensor.platform for name, sensor in sensors.items() if sensor.platform}
-    if world is None:
-        return
-    for name, platform in riding.items():
-        if platform != world.platform_inputs:
-            expected = ", ".join(world.platform_inputs) or "none without [world.platform]"
-            raise InputError(
-                f"{where}: sensors.{name}.platform: found {list(platform)}, "
-                f"expected the inputs of [world.platform]: {expected}"
-            )
-    if world.platform and not riding:
-        raise InputError(f"{where}: world.platform: found one, expected a sensor that rides it")
 
 
 def _inputs(top: Table, sensors: Mapping[str, SensorSpec]) -> tuple[str, ...]:
@@ -276,47 +182,8 @@ def _inputs(top: Table, sensors: Mapping[str, SensorSpec]) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*top.names("inputs", ()), *platforms)))
 
 
-def _read_start(table: Table, simulated: bool, axes: int) -> StartSpec:
-    kind = table.text("kind", "truth" if simulated else "measurements", choices=STARTS)
-    if kind == "truth" and not simulated:
-        table.fail("kind", "'measurements' or 'bearings' in a scenario without [world]")
-    spec = StartSpec(
-        kind,
-        table.number("position_sigma", 0.0, low=0.0),
-        table.number("velocity_sigma", 0.0, low=0.0),
-        table.integer("rows", 10, low=1),
-        table.number("unknown_velocity", None, above=0.0),
-        table.numbers("velocity", axes, None),
-    )
-    if kind == "bearings" and spec.velocity is None:
-        table.fail("velocity", f"{axes} numbers beside kind = 'bearings'")
-    if kind == "bearings" and spec.rows < 2:
-        table.fail("rows", "2 or more beside kind = 'bearings'")
-    table.finish()
-    return spec
-
-
-def _read_scene(table: Table) -> Scene:
-    scene = Scene(table.text("name"), table.integer("first", low=1), table.integer("last", low=1))
-    if scene.last < scene.first:
-        table.fail("last", f"a step of first = {scene.first} or later")
-    table.finish()
-    return scene
-
-
-def _read_reference(table: Table) -> Reference:
-    reference = Reference(
-        table.text("run", ""),
-        table.text("system"),
-        table.number("rmse", above=0.0),
-        table.text("source"),
-    )
-    table.finish()
-    return reference
-
-
 def _check_parameters(scenario: Scenario) -> None:
-    """Every system and run builds, and every parameter belongs to a system."""
+    """Every system builds, and every parameter belongs to a system."""
     known = scenario.declarations()
     for name, spec in scenario.parameters.items():
         if name not in known:
@@ -324,7 +191,11 @@ def _check_parameters(scenario: Scenario) -> None:
                 f"{spec.where}: no system has such a parameter, "
                 f"expected one of {', '.join(sorted(known))}"
             )
-    alone = {key: value for key, value in scenario.document.items() if key != "runs"}
+
+
+def _check_runs(scenario: Scenario) -> None:
+    """Every run's overrides fit."""
+    alone = {k: value for k, value in scenario.document.items() if k not in ("runs", "worlds")}
     for name, run in scenario.runs.items():
         try:
             read_scenario(apply_overrides(alone, run), scenario.path)

@@ -9,10 +9,12 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 from difffilter.errors import InputError
+from difffilter.registry import NAME
 
 __all__ = ["MEASURES", "Table"]
 
 _REQUIRED = object()
+LABEL = "a name: a letter, then letters, digits, _ and -, at most 64"
 
 #: Factor to the SI unit of a measurement, by that unit and by the name in a scenario file.
 MEASURES = {
@@ -64,6 +66,13 @@ class Table:
         ):
             self.fail(key, expected)
         return value  # type: ignore[no-any-return]
+
+    def label(self, key: str) -> str:
+        """A name: text of the form that :data:`difffilter.registry.NAME` says."""
+        value = self.text(key)
+        if not NAME.fullmatch(value):
+            self.fail(key, LABEL)
+        return value
 
     def flag(self, key: str, default: bool = False) -> bool:
         """true or false."""

@@ -38,9 +38,19 @@ from difffilter.core.beliefs import Record
 from difffilter.engine.build import compiler
 from difffilter.export.c99 import export_c
 from difffilter.filters.filter import RULES, STANDARDISATIONS
+from difffilter.logs.family import ROLES
 from difffilter.motions import blocks as motion
 from difffilter.robust import gate, groups, recovery
-from difffilter.scenario import checkpoint, faults, options, scenario, sensing, systems, table
+from difffilter.scenario import (
+    checkpoint,
+    faults,
+    options,
+    scenario,
+    sensing,
+    starting,
+    systems,
+    table,
+)
 from difffilter.scenario.scenario import load_scenario
 from difffilter.scenario.settings import OPTIMISERS, TuneSettings
 from difffilter.scenario.simulation import simulate
@@ -303,12 +313,13 @@ RECORDED: dict[str, Any] = {
     "parameters": {"motion": {"acceleration": {"value": 1.0}}},
     "systems": {"ekf": {}},
     "references": [{"run": "a", "system": "b", "rmse": 1.0, "source": "c"}],
+    "worlds": [{"name": "night", "logs": ["night-*"]}],
 }
 #: How the second part of these tables' paths is written in a heading.
 NAMED = {"sensors": "NAME", "faults": "NAME", "systems": "NAME", "runs": "NAME"}
 READERS = {
     "text", "flag", "number", "integer", "numbers", "nested", "points", "names", "table",
-    "tables", "take", "_numbers",
+    "tables", "take", "_numbers", "label",
 }  # fmt: skip
 
 
@@ -389,8 +400,8 @@ def test_every_choice_is_documented() -> None:
         *sensing.KINDS, *faults.KINDS, *WEIGHTS, *LOSSES, *gate.ACTIONS, *motion.NOISES,
         *STANDARDISATIONS, *RULES, *systems.MODELS, *options.FUSIONS, "filter", *BASELINES,
         *ADAPTATIONS, *(unit for units in table.MEASURES.values() for unit in units),
-        *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *scenario.STARTS, *metrics.SCORES,
-        *OPTIMISERS, "constant", "uniform", "normal", "sigma",
+        *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *starting.STARTS, *metrics.SCORES,
+        *OPTIMISERS, *ROLES, "constant", "uniform", "normal", "sigma",
     )  # fmt: skip
     for choice in choices:
         assert re.search(rf'`"?{re.escape(choice)}"?`', text), choice

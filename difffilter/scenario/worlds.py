@@ -1,0 +1,131 @@
+"""``[[worlds]]`` of a scenario: worlds beside its own that its values must serve, too."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from difffilter.errors import InputError
+from difffilter.logs.family import ROLES
+from difffilter.scenario.document import apply_overrides
+from difffilter.scenario.table import Table
+from difffilter.scenario.truth import read_truth
+from difffilter.sensors.builtin import PositionSensor, StationSensor
+
+if TYPE_CHECKING:
+    from difffilter.scenario.scenario import Scenario
+
+__all__ = ["BASE", "WorldSpec", "changed", "check_worlds", "read_worlds", "scenario_of_world"]
+
+#: Name of the scenario's own world, or of all recorded logs, in its family.
+BASE = "base"
+#: What a world may change: the truth, not the filters. Patterns of dotted keys.
+CHANGES = (
+    "world.*",
+    "faults.*",
+    "start.*",
+    "sensors.*.noise.*",
+    "sensors.*.every",
+    "sensors.*.stations",
+)
+#: Tables that say nothing of the truth.
+OTHERS = ("worlds", "runs", "systems", "parameters", "tuning", "motion")
+
+
+@dataclass(frozen=True)
+class WorldSpec:
+    """One entry of ``[[worlds]]``.
+
+    Attributes:
+        name, weight, role, allow, plausible: as for :class:`Member`.
+        overrides: dotted keys of the truth and their values, in a simulated world.
+        logs: patterns of the names of recorded logs, in a recorded one.
+    """
+
+    name: str
+    where: str = ""
+    weight: float = 1.0
+    role: str = "guard"
+    allow: float = 1.02
+    plausible: str = ""
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    logs: tuple[str, ...] = ()
+
+
+def read_worlds(top: Table) -> tuple[WorldSpec, ...]:
+    """Read ``[[worlds]]``; whether the overrides fit is checked with the whole scenario."""
+    found: list[WorldSpec] = []
+    for part in top.tables("worlds"):
+        base = part.data.get("name") == BASE
+        overrides = part.table("overrides", optional=True)
+        for key in overrides.data:
+            if not any(fnmatch.fnmatchcase(key, pattern) for pattern in CHANGES):
+                overrides.fail(key, f"a quoted dotted key of the truth: {', '.join(CHANGES)}")
+            overrides.take(key, "")
+        spec = WorldSpec(
+            name=part.label("name"),
+            where=f"{part.where}: {part.path}",
+            weight=part.number("weight", 1.0, above=0.0),
+            role=part.text("role", "tune" if base else "guard", choices=ROLES),
+            allow=part.number("allow", 1.02, low=1.0),
+            plausible=part.text("plausible", ""),
+            overrides=dict(overrides.data),
+            logs=part.names("logs", ()),
+        )
+        if spec.name in {other.name for other in found}:
+            part.fail("name", "no name twice")
+        if base and (spec.overrides or spec.logs):
+            part.fail("name", f"neither overrides nor logs beside the scenario's own, {BASE!r}")
+        if not base and bool(spec.overrides) == bool(spec.logs):
+            part.fail("overrides", "either overrides of a simulated world, or names of logs")
+        if spec.overrides and "world" not in top:
+            part.fail("overrides", "logs in place of them in a scenario without [world]")
+        part.finish()
+        found.append(spec)
+    return tuple(found)
+
+
+def check_worlds(scenario: Scenario) -> None:
+    """InputError where an entry's overrides do not fit the scenario."""
+    for spec in scenario.worlds:
+        world = changed(scenario, spec)
+        if world.axes != scenario.axes or world.channels != scenario.channels:
+            raise InputError(f"{spec.where}: found other axes or channels than the scenario's own")
+        for name, sensor in world.sensors.items():
+            if _shape(sensor.model) != _shape(scenario.sensors[name].model):
+                raise InputError(
+                    f"{spec.where}: sensors.{name}.stations: expected as many stations and "
+                    "coordinates as the scenario's own"
+                )
+
+
+def _shape(model: PositionSensor) -> list[int]:
+    """Coordinates of each station."""
+    return [len(at) for at in model.stations] if isinstance(model, StationSensor) else []
+
+
+def changed(scenario: Scenario, spec: WorldSpec) -> Scenario:
+    """The scenario with the truth of that world, and its own systems."""
+    document = {key: value for key, value in scenario.document.items() if key not in OTHERS}
+    try:
+        truth = read_truth(Table(apply_overrides(document, spec.overrides), str(scenario.path)))
+    except InputError as error:
+        raise InputError(f"{spec.where}: {error}") from None
+    return replace(scenario, **truth._asdict(), worlds=())
+
+
+def scenario_of_world(scenario: Scenario, name: str) -> Scenario:
+    """The scenario with the truth of one of its ``[[worlds]]``, and its systems as they are.
+
+    Raises:
+        InputError: no such world, or one of recorded logs.
+    """
+    if name == BASE:
+        return scenario
+    for spec in scenario.worlds:
+        if spec.name == name and not spec.logs:
+            return changed(scenario, spec)
+    known = [BASE, *(spec.name for spec in scenario.worlds if not spec.logs)]
+    raise InputError(f"world: found {name[:80]!r}, expected one of {', '.join(known)}")
