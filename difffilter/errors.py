@@ -10,7 +10,28 @@ __all__ = [
     "LogError",
     "NonFiniteError",
     "RankError",
+    "shown",
 ]
+
+
+def shown(value: object, limit: int = 80) -> str:
+    """What was found, for a message: its ``repr``, cut after ``limit`` characters.
+
+    Example:
+        >>> shown("a" * 100, 10)
+        "'aaaaaaaaa..."
+        >>> shown(10 ** 5000)
+        'a whole number of too many digits'
+    """
+    if isinstance(value, str | bytes):
+        value = value[: limit + 1]
+    try:
+        text = repr(value)
+    except ValueError:  # Python prints no more than 4300 digits
+        return f"a {'whole number' if isinstance(value, int) else 'list'} of too many digits"
+    except RecursionError:
+        return "what is nested too deep"
+    return text if len(text) <= limit else f"{text[:limit]}..."
 
 
 class DifffilterError(Exception):

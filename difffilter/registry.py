@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Generic, TypeVar
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 
 __all__ = ["NAME", "Registry"]
 
@@ -38,7 +38,7 @@ class Registry(Mapping[str, T], Generic[T]):
         """Register an entry; InputError if the name is taken by another or is no name."""
         if not NAME.fullmatch(name):
             raise InputError(
-                f"{self.kind}: found name {name[:80]!r}, expected a letter, then letters, digits, "
+                f"{self.kind}: found name {shown(name)}, expected a letter, then letters, digits, "
                 "_ and -, at most 64"
             )
         if self._entries.setdefault(name, entry) is not entry:
@@ -61,7 +61,7 @@ class Registry(Mapping[str, T], Generic[T]):
         except KeyError:
             expected = ", ".join(self._entries)
             raise InputError(
-                f"{self.kind}: found {name!r:.80}, expected one of {expected}"
+                f"{self.kind}: found {shown(name)}, expected one of {expected}"
             ) from None
 
     def __contains__(self, name: object) -> bool:

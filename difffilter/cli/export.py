@@ -6,7 +6,7 @@ import re
 from argparse import Namespace
 
 from difffilter.cli.options import Commands
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 
 __all__ = ["add"]
 
@@ -41,7 +41,7 @@ def add(commands: Commands) -> None:
 def command(args: Namespace) -> int:
     """Write the files and name them."""
     if args.name is not None and not re.fullmatch(r"[A-Za-z]\w*", args.name, re.ASCII):
-        raise InputError(f"--name: found {args.name!r}, expected ASCII letters, digits, _")
+        raise InputError(f"--name: found {shown(args.name)}, expected ASCII letters, digits, _")
 
     from difffilter.export.c99 import export_c
     from difffilter.scenario.checkpoint import load

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 
 if TYPE_CHECKING:
     from difffilter.scenario.scenario import Scenario
@@ -102,7 +102,8 @@ def whole(low: int) -> Callable[[str], int]:
         except ValueError:
             value = low - 1
         if value < low:
-            raise ArgumentTypeError(f"found {text!r}, expected a whole number of {low} or more")
+            expected = f"expected a whole number of {low} or more"
+            raise ArgumentTypeError(f"found {shown(text)}, {expected}")
         return value
 
     return read
@@ -116,7 +117,8 @@ def named_weight(text: str) -> tuple[str, float]:
     except ValueError:
         value = math.nan
     if not name or not math.isfinite(value) or value < 0:
-        raise ArgumentTypeError(f"found {text!r}, expected name=weight with a weight of 0 or more")
+        expected = "expected name=weight with a weight of 0 or more"
+        raise ArgumentTypeError(f"found {shown(text)}, {expected}")
     return name.strip(), value
 
 

@@ -18,7 +18,7 @@ from difffilter.cli.options import (
 )
 from difffilter.cli.output import print_json
 from difffilter.cli.values import HELP, read_values, unfit
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 
 if TYPE_CHECKING:
     from difffilter.logs.log import Log
@@ -148,7 +148,7 @@ def _of_run(job: Job, args: Namespace) -> Job:
     scenario = job.scenario
     if args.run and args.run not in scenario.runs:
         expected = f"one of {', '.join(scenario.runs)}" if scenario.runs else "none: it has no runs"
-        raise InputError(f"--run: found {args.run!r}, expected {expected}")
+        raise InputError(f"--run: found {shown(args.run)}, expected {expected}")
     name = _run_name(args)
     # The run's overrides are in; its name must not apply them again.
     return replace(job, scenario=replace(scenario_of_run(scenario, name), runs={}))

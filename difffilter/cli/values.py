@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.files import data_folder
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def read_values(label: str, scenario: Scenario) -> Checkpoint | None:
             )
         return load(path)
     if not Path(label).is_file():
-        raise InputError(f"--values: found {label!r}, expected {HELP}")
+        raise InputError(f"--values: found {shown(label)}, expected {HELP}")
     return load(label)
 
 

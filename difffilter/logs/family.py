@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.logs.log import Log
 from difffilter.registry import NAME
 
@@ -60,7 +60,7 @@ class Member:
             )
         if self.role not in ROLES:
             raise InputError(
-                f"world {self.name}: role: found {self.role[:80]!r}, "
+                f"world {self.name}: role: found {shown(self.role)}, "
                 f"expected one of {', '.join(ROLES)}"
             )
         if not 1.0 <= self.allow < float("inf"):
@@ -119,7 +119,7 @@ class Family:
             if member.name == name:
                 return member
         expected = ", ".join(member.name for member in self.members)
-        raise InputError(f"world: found {name[:80]!r}, expected one of {expected}")
+        raise InputError(f"world: found {shown(name)}, expected one of {expected}")
 
     @property
     def tuned(self) -> tuple[Member, ...]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from difffilter.errors import InputError, LogError
+from difffilter.errors import InputError, LogError, shown
 from difffilter.files import write_atomically
 from difffilter.logs.log import Log
 
@@ -123,7 +123,7 @@ def _number(path: Path, line: int, name: str, text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise LogError(
-            f"{path}, line {line}, column {name}: found {text!r}, "
+            f"{path}, line {line}, column {name}: found {shown(text)}, "
             "expected a finite number or an empty field"
         )
     return value

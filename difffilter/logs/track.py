@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Record
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 
 __all__ = ["Track"]
 
@@ -48,6 +48,6 @@ class Track:
         missing = [name for name in names if name not in self.states]
         if missing:
             raise InputError(
-                f"state: found {missing[0]!r}, expected one of {', '.join(self.states)}"
+                f"state: found {shown(missing[0])}, expected one of {', '.join(self.states)}"
             )
         return [self.states.index(name) for name in names]

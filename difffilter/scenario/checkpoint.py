@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import torch
 from torch import Tensor
 
-from difffilter.errors import CheckpointError, InputError
+from difffilter.errors import CheckpointError, InputError, shown
 from difffilter.files import json_text, write_atomically
 from difffilter.filters.filter import Filter
 from difffilter.parameters.parameters import Number
@@ -154,7 +154,7 @@ def load(path: str | Path) -> Checkpoint:
     path = Path(path)
 
     def fail(key: str, found: object, expected: str) -> NoReturn:
-        raise CheckpointError(f"{path}: {key}: found {found!r}, expected {expected}")
+        raise CheckpointError(f"{path}: {key}: found {shown(found)}, expected {expected}")
 
     data = _read_json(path)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
@@ -201,7 +201,7 @@ def _read_values(path: Path, entries: dict[str, Any], system: Filter) -> dict[st
     for name, parameter in declarations.items():
         where, entry = f"{path}: parameters.{name}", entries[name]
         if not isinstance(entry, dict):
-            raise CheckpointError(f"{where}: found {entry!r}, expected a table")
+            raise CheckpointError(f"{where}: found {shown(entry)}, expected a table")
         _same_keys(path, f"parameters.{name}", entry, _PARAMETER_KEYS)
         expected = {
             "published": _listed(parameter.value),
@@ -212,7 +212,7 @@ def _read_values(path: Path, entries: dict[str, Any], system: Filter) -> dict[st
         for key, value in expected.items():
             if entry[key] != value:
                 raise CheckpointError(
-                    f"{where}.{key}: found {entry[key]!r}, expected {value!r} "
+                    f"{where}.{key}: found {shown(entry[key])}, expected {shown(value)} "
                     "as in the stored document"
                 )
         try:
@@ -233,6 +233,14 @@ def _read_json(path: Path) -> Any:
             no_constant(text)
         return value
 
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise ValueError(f"found the key {shown(twice)} twice, expected it once")
+        return found
+
     def whole(text: str) -> int:
         finite(text)
         return int(text)
@@ -243,6 +251,7 @@ def _read_json(path: Path) -> Any:
             parse_constant=no_constant,
             parse_float=finite,
             parse_int=whole,
+            object_pairs_hook=once,
         )
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from None
@@ -268,7 +277,7 @@ def _numbers(value: Any) -> Number:
     if isinstance(value, list):
         return tuple(_numbers(item) for item in value)  # type: ignore[return-value]
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"found {value!r}, expected a finite number")
+        raise ValueError(f"found {shown(value)}, expected a finite number")
     return float(value)
 
 

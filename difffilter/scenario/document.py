@@ -4,18 +4,30 @@ from __future__ import annotations
 
 import copy
 import difflib
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.files import data_folder
 
-__all__ = ["SCHEMA", "apply_overrides", "parse_override", "read_document", "scenario_names"]
+__all__ = [
+    "SCHEMA",
+    "apply_overrides",
+    "check_texts",
+    "parse_override",
+    "read_document",
+    "scenario_names",
+]
 
 #: Version of the scenario schema that this library reads.
 SCHEMA = 1
+#: Levels of tables and lists at most.
+DEPTH = 32
+#: Control characters but tabs and line ends, and halves of surrogate pairs.
+CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def scenario_names() -> list[str]:
@@ -36,7 +48,7 @@ def find_document(name: str | Path) -> Path:
         close = difflib.get_close_matches(str(name), known, n=1)
         hint = f"; did you mean {close[0]}?" if close else ""
         raise InputError(
-            f"scenario: found {str(name)!r}, expected one of {', '.join(known)} "
+            f"scenario: found {shown(str(name))}, expected one of {', '.join(known)} "
             f"or a path to a .toml file{hint}"
         )
     return path
@@ -63,7 +75,9 @@ def read_document(name: str | Path) -> tuple[dict[str, Any], Path]:
         if parent is None:
             current = None
         elif not isinstance(parent, str):
-            raise InputError(f"{current}: extends: found {parent!r}, expected a name or a path")
+            raise InputError(
+                f"{current}: extends: found {shown(parent)}, expected a name or a path"
+            )
         else:
             current = _parent(current, parent)
     merged: dict[str, Any] = {}
@@ -80,16 +94,49 @@ def _parent(child: Path, name: str) -> Path:
 
 def _parse(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read: {error}") from None
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from None
+    data = _toml(text, str(path))
     if data.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema: found {data.get('schema')!r}, expected {SCHEMA}")
+        raise InputError(f"{path}: schema: found {shown(data.get('schema'))}, expected {SCHEMA}")
     return data
+
+
+def _toml(text: str, where: str) -> dict[str, Any]:
+    """Parsed TOML; InputError where it is none, or beyond the parser."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise InputError(f"{where}: not valid TOML: nested too deep") from None
+    except ValueError as error:  # not TOML, or a whole number of too many digits
+        reason = str(error).split(";")[0]
+        raise InputError(f"{where}: not valid TOML: {shown(reason, 300)[1:-1]}") from None
+
+
+def check_texts(document: Mapping[str, Any], where: str) -> None:
+    """Refuse what no scenario needs: deep nesting, and characters that control a terminal.
+
+    Raises:
+        InputError: more than ``DEPTH`` levels; a key or a text with a control character or
+            half a surrogate pair.
+    """
+    layer: list[Any] = [document]
+    for _ in range(DEPTH):
+        inner: list[Any] = []
+        for item in layer:
+            if isinstance(item, Mapping):
+                inner += [*item.keys(), *item.values()]
+            elif isinstance(item, list):
+                inner += item
+            elif isinstance(item, str) and CONTROL.search(item):
+                raise InputError(
+                    f"{where}: found the text {shown(item)}, expected no control characters"
+                )
+        layer = inner
+        if not layer:
+            return
+    raise InputError(f"{where}: found more than {DEPTH} levels, expected tables less deep")
 
 
 def _merge(base: Mapping[str, Any], layer: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,10 +154,10 @@ def parse_override(text: str) -> tuple[str, Any]:
     key, separator, value = text.partition("=")
     key = key.strip()
     if not separator or not key:
-        raise InputError(f"--set: found {text!r}, expected key.path=value")
+        raise InputError(f"--set: found {shown(text)}, expected key.path=value")
     try:
-        return key, tomllib.loads(f"value = {value.strip()}")["value"]
-    except tomllib.TOMLDecodeError:
+        return key, _toml(f"value = {value.strip()}", "--set")["value"]
+    except InputError:
         return key, value.strip()
 
 

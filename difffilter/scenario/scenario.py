@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.parameters.parameters import Parameter
 from difffilter.scenario.build import System, build_system
-from difffilter.scenario.document import SCHEMA, apply_overrides, read_document
+from difffilter.scenario.document import SCHEMA, apply_overrides, check_texts, read_document
 from difffilter.scenario.evaluation import (
     Reference,
     Scene,
@@ -88,7 +88,8 @@ class Scenario:
         """
         name = name or self.tuning.system
         if name not in self.systems:
-            raise InputError(f"system: found {name!r}, expected one of {', '.join(self.systems)}")
+            expected = ", ".join(self.systems)
+            raise InputError(f"system: found {shown(name)}, expected one of {expected}")
         return build_system(
             self.systems[name],
             self.axes,
@@ -141,13 +142,13 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
 
 def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
     """Validate a parsed scenario."""
+    check_texts(document, str(path))
     top = Table(document, str(path))
     if top.integer("schema") != SCHEMA:
         top.fail("schema", str(SCHEMA))
     truth = read_truth(top)
     systems = {
-        name: read_system(name, part, truth.sensors)
-        for name, part in top.table("systems").children()
+        name: read_system(name, part, truth.sensors) for name, part in top.table("systems").named()
     }
     if not systems:
         top.fail("systems", "one system or more")

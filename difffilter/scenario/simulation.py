@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import torch
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.logs.log import Log, Start
 from difffilter.scenario.pooling import pooled
 from difffilter.scenario.scenario import Scenario
+from difffilter.scenario.table import LARGEST
 from difffilter.seeds import stream
 
 __all__ = ["simulate"]
@@ -46,6 +47,8 @@ def simulate(
         raise InputError(f"{scenario.name}: has no [world] to simulate, expected recorded logs")
     if trajectories < 1:
         raise InputError(f"trajectories: found {trajectories}, expected 1 or more")
+    if trajectories > LARGEST:
+        raise InputError(f"trajectories: found {shown(trajectories)}, expected {LARGEST} at most")
     path = world.simulate(trajectories, stream(seed, purpose, "truth"))
     truth = path[1:]
     inputs = {}
@@ -57,6 +60,11 @@ def simulate(
         for name, sensor in scenario.sensors.items()
     ]
     z, exact, noise = (torch.cat(parts, dim=-1) for parts in zip(*made, strict=True))
+    if not bool(torch.isfinite(path).all() and torch.isfinite(exact).all()):
+        raise InputError(
+            f"{scenario.name}: world: found a truth or a measurement that is not finite, expected "
+            "moderate positions, velocities, accelerations and times"
+        )
     mean, variance = torch.zeros_like(z), torch.zeros_like(z)
     # Dropouts last: what is missing stays missing.
     for name, fault in sorted(scenario.faults.items(), key=lambda item: item[1].kind == "dropout"):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from difffilter.baselines.registry import BASELINES
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.motions.blocks import NOISES, ConstantVelocity, CoordinatedTurn
 from difffilter.parameters.parameters import Number, Parameter, as_number
 from difffilter.scenario.options import OPTIONS, adaptation_names
@@ -33,7 +33,7 @@ class ParameterSpec:
     def declare(self, own: Parameter) -> Parameter:
         """The component's declaration with this published value."""
         if self.unit and self.unit != own.unit:
-            raise InputError(f"{self.where}.unit: found {self.unit!r}, expected {own.unit!r}")
+            raise InputError(f"{self.where}.unit: found {shown(self.unit)}, expected {own.unit!r}")
         declared = replace(
             own,
             value=self.value,

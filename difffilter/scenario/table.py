@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 import sys
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.registry import NAME
 
-__all__ = ["MEASURES", "Table"]
+__all__ = ["LABEL", "MEASURES", "Table"]
 
 _REQUIRED = object()
+#: Keys that messages show as they are.
+PLAIN = re.compile(r"[\w.*-]{1,120}")
+#: Whole numbers beyond it count nothing that a computer can hold.
+LARGEST = 2**31 - 1
+#: What a name is, for messages.
 LABEL = "a name: a letter, then letters, digits, _ and -, at most 64"
 
 #: Factor to the SI unit of a measurement, by that unit and by the name in a scenario file.
@@ -40,12 +46,13 @@ class Table:
         return key in self.data
 
     def name(self, key: str) -> str:
-        """Dotted path of a key."""
+        """Dotted path of a key; a key that is no name as text, for messages."""
+        key = key if PLAIN.fullmatch(key) else shown(key)
         return f"{self.path}.{key}" if self.path else key
 
     def fail(self, key: str, expected: str) -> NoReturn:
         """Raise InputError for a key: file, key, what was found, what was expected."""
-        found = repr(self.data[key]) if key in self.data else "nothing"
+        found = shown(self.data[key]) if key in self.data else "nothing"
         raise InputError(f"{self.where}: {self.name(key)}: found {found}, expected {expected}")
 
     def take(self, key: str, expected: str, default: Any = _REQUIRED) -> Any:
@@ -104,13 +111,15 @@ class Table:
             self.fail(key, expected)
         return float(value)
 
-    def integer(self, key: str, default: Any = _REQUIRED, low: int = 0) -> int:
-        """A whole number of at least ``low``."""
+    def integer(self, key: str, default: Any = _REQUIRED, low: int = 0, high: int = LARGEST) -> int:
+        """A whole number of at least ``low`` and at most ``high``."""
         expected = f"a whole number of {low} or more"
+        if key in self.data and isinstance(self.data[key], int) and self.data[key] > high:
+            expected += f" and at most {high}"
         value = self.take(key, expected, default)
         if value is default:
             return value  # type: ignore[no-any-return]
-        if isinstance(value, bool) or not isinstance(value, int) or value < low:
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             self.fail(key, expected)
         return value
 
@@ -188,6 +197,13 @@ class Table:
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             self.fail(key, "an array of tables")
         return [Table(item, self.where, f"{self.name(key)}[{i}]") for i, item in enumerate(value)]
+
+    def named(self) -> list[tuple[str, Table]]:
+        """Every key as a named sub-table; InputError for a key that is no name."""
+        for key in self.data:
+            if not NAME.fullmatch(key):
+                raise InputError(f"{self.where}: {self.name(key)}: found no name, expected {LABEL}")
+        return self.children()
 
     def children(self) -> list[tuple[str, Table]]:
         """Every key as a named sub-table."""

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
+from difffilter.registry import NAME
 from difffilter.scenario.faults import Fault, read_fault
 from difffilter.scenario.pooling import pooled_sigma
 from difffilter.scenario.sensing import SensorSpec, read_sensor
 from difffilter.scenario.starting import StartSpec, read_start
-from difffilter.scenario.table import Table
+from difffilter.scenario.table import LABEL, Table
 from difffilter.scenario.world import World, read_world
 from difffilter.sensors.position import Position
 
@@ -33,7 +34,7 @@ def read_truth(top: Table) -> Truth:
     world = read_world(top.table("world")) if "world" in top else None
     axes = world.axes if world else top.integer("axes", 2, low=1)
     sensors = _read_sensors(top, axes)
-    parts = top.table("faults", optional=True).children()
+    parts = top.table("faults", optional=True).named()
     faults = {name: read_fault(name, part, sensors.values()) for name, part in parts}
     if faults and world is None:
         top.fail("faults", "none in a scenario without [world]")
@@ -46,13 +47,14 @@ def read_truth(top: Table) -> Truth:
 
 
 def _read_sensors(top: Table, axes: int) -> dict[str, SensorSpec]:
-    sensors = {
-        name: read_sensor(name, part, axes) for name, part in top.table("sensors").children()
-    }
+    sensors = {name: read_sensor(name, part, axes) for name, part in top.table("sensors").named()}
     if not sensors:
         top.fail("sensors", "one sensor or more")
     sensors = {name: _pooled(top, name, sensor, sensors) for name, sensor in sensors.items()}
     channels = [c for sensor in sensors.values() for c in sensor.model.channels]
+    for channel in channels:
+        if not NAME.fullmatch(channel):
+            top.fail("sensors", f"channels with names, not {shown(channel)}: {LABEL}")
     if len(set(channels)) != len(channels):
         top.fail("sensors", "no channel name twice")
     return sensors

@@ -15,6 +15,10 @@ from difffilter.scenario.table import Table
 __all__ = ["Jump", "Platform", "Segment", "World", "read_world"]
 
 
+#: s, of a time step: 30 years.
+LONGEST = 1e9
+
+
 @dataclass(frozen=True)
 class Segment:
     """A stretch of the truth, for steps first < k <= last.
@@ -145,7 +149,7 @@ def _move(
             push = push + torch.tensor(segment.acceleration, dtype=torch.float64)
             rate += segment.turn_rate
     moved, turned = _turn(velocity, rate, dt)
-    return position + moved + 0.5 * dt**2 * push, turned + dt * push
+    return position + moved + 0.5 * (dt * dt) * push, turned + dt * push
 
 
 def _turn(velocity: Tensor, rate: float, dt: float) -> tuple[Tensor, Tensor]:
@@ -187,17 +191,17 @@ def read_world(table: Table) -> World:
     if min(disturbance) < 0:
         table.fail("disturbance", "standard deviations of 0 or more")
     world = World(
-        axes,
-        table.number("dt", above=0.0),
-        steps,
-        table.numbers("position", axes),
-        table.numbers("velocity", axes),
-        acceleration,
-        disturbance,
-        _read_segments(table, axes),
-        tuple(jumps),
-        _read_platform(table, axes),
-        _read_ideal(table),
+        axes=axes,
+        dt=table.number("dt", above=0.0, high=LONGEST),
+        steps=steps,
+        position=table.numbers("position", axes),
+        velocity=table.numbers("velocity", axes),
+        acceleration=acceleration,
+        disturbance=disturbance,
+        segments=_read_segments(table, axes),
+        jumps=tuple(jumps),
+        platform=_read_platform(table, axes),
+        ideal_process=_read_ideal(table),
     )
     table.finish()
     return world

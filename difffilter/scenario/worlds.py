@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.logs.family import ROLES
 from difffilter.scenario.document import apply_overrides
 from difffilter.scenario.table import Table
@@ -128,4 +128,4 @@ def scenario_of_world(scenario: Scenario, name: str) -> Scenario:
         if spec.name == name and not spec.logs:
             return changed(scenario, spec)
     known = [BASE, *(spec.name for spec in scenario.worlds if not spec.logs)]
-    raise InputError(f"world: found {name[:80]!r}, expected one of {', '.join(known)}")
+    raise InputError(f"world: found {shown(name)}, expected one of {', '.join(known)}")

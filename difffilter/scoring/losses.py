@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
 from difffilter.scoring.metrics import Score, nees, nees_states, position_difference, scored_rows
@@ -215,7 +215,7 @@ def check_losses(weights: Mapping[str, float], log: Rows) -> None:
     """Raise InputError for an unknown name, or truth needed that the log does not have."""
     for name in weights:
         if name not in LOSSES:
-            raise InputError(f"loss: found {name!r}, expected one of {', '.join(LOSSES)}")
+            raise InputError(f"loss: found {shown(name)}, expected one of {', '.join(LOSSES)}")
         if LOSSES[name].needs_truth and log.truth is None:
             free = ", ".join(n for n, loss in LOSSES.items() if not loss.needs_truth)
             raise InputError(f"loss {name}: needs truth columns, found none; without: {free}")
