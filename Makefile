@@ -23,7 +23,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	touch $@
 
 reproduce: setup
-	$(BIN)/python training/reproduce.py $(if $(QUICK),--quick)
+	$(BIN)/python -m training.reproduce $(if $(QUICK),--quick)
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Sequence
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import torch
@@ -116,18 +112,3 @@ def textbook_predict(state: Belief, dt: float) -> tuple[Array, Array]:
 def one(filter: Filter, state: Belief, z: Tensor, dt: float = 0.5) -> tuple[Belief, Record]:
     """One step at the declared values."""
     return step(filter, filter.prepare(), state, Measurement(z, tensor(dt)))
-
-
-def training_script(name: str) -> ModuleType:
-    """A script of training/, imported with its folder on the path."""
-    folder = Path(__file__).parents[1] / "training"
-    sys.path.insert(0, str(folder))
-    try:
-        spec = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(folder))
-    return module

@@ -4,7 +4,7 @@ Experiments run side by side, one per core: each is a process of its own, whose 
 progress bar here and whose output goes to report/NAME/run.log. After it ``difffilter report``
 judges the values that it froze, on data of another seed, into report/NAME/verdict.
 
-    python training/reproduce.py [--quick] [--seed S] [--out report]
+    python -m training.reproduce [--quick] [--seed S] [--out report]
 """
 
 from __future__ import annotations
@@ -19,21 +19,20 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, TextIO
 
-from common import recordings
 from tqdm import tqdm
 
 from difffilter.files import json_text, write_atomically
-from difffilter.reports import page
+from difffilter.reports.page import END, START, page, paragraph
 from difffilter.reports.report import HELD
+from training.common import ROOT, recordings
 
-HERE = Path(__file__).resolve().parent
 EXPERIMENTS = {
-    "airport-mlat": "airport_mlat.py",
-    "airborne-bearing": "airborne_bearing.py",
-    "manoeuvre-fusion": "manoeuvre_fusion.py",
-    "urban-credibility": "urban_credibility.py",
-    "uwb-ranges": "uwb_ranges.py",
-    "weights": "weights.py",
+    "airport-mlat": "training.airport.run",
+    "airborne-bearing": "training.bearing.run",
+    "manoeuvre-fusion": "training.manoeuvre.run",
+    "urban-credibility": "training.urban.run",
+    "uwb-ranges": "training.uwb.run",
+    "weights": "docs.make.weights",
 }
 
 #: Checkpoints that are judged after each experiment, and tunings per method of the contest.
@@ -54,8 +53,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="small sizes")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=HERE.parent / "report")
+    parser.add_argument("--out", type=Path, default=ROOT / "report")
     options = parser.parse_args()
+    options.out = options.out.resolve()
     began = time.monotonic()
     bars = {
         name: tqdm(
@@ -68,8 +68,8 @@ def main() -> int:
     }
     with ThreadPoolExecutor(max_workers=max(os.cpu_count() or 1, 1)) as pool:
         jobs = {
-            name: pool.submit(follow, name, script, bars[name], options)
-            for name, script in EXPERIMENTS.items()
+            name: pool.submit(follow, name, module, bars[name], options)
+            for name, module in EXPERIMENTS.items()
         }
         while not all(job.done() for job in jobs.values()):
             time.sleep(1.0)
@@ -86,11 +86,11 @@ def main() -> int:
     return int(any(codes.values()))
 
 
-def follow(name: str, script: str, bar: tqdm, options: argparse.Namespace) -> int:
+def follow(name: str, module: str, bar: tqdm, options: argparse.Namespace) -> int:
     """Run one experiment and its verdict; their ``[i/n] text`` lines drive the bar."""
     folder = options.out / name
     folder.mkdir(parents=True, exist_ok=True)
-    command = [str(HERE / script), "--quiet", "--seed", str(options.seed)]
+    command = ["-m", module, "--quiet", "--seed", str(options.seed)]
     command += ["--out", str(folder), *(["--quick"] if options.quick else [])]
     with (folder / "run.log").open("w") as log:
         code = drive(command, log, bar)
@@ -106,7 +106,7 @@ def verdicts(name: str, options: argparse.Namespace) -> list[list[str]]:
     """Arguments of ``difffilter report`` for each part of an experiment's verdict."""
     if not (options.out / name / "report.json").is_file():
         return []  # recordings absent
-    frozen = options.out / name if options.quick else HERE.parent / "checkpoints"
+    frozen = options.out / name if options.quick else ROOT / "checkpoints"
     size = ["--trajectories", "8"] if options.quick else ["--trajectories", "200"]
     size += ["--contest", "0" if options.quick else "3", "--seed", str(options.seed + 5)]
     parts = []
@@ -129,7 +129,7 @@ def drive(command: list[str], log: TextIO, bar: tqdm) -> int:
     """Run Python with these arguments, output into ``log``; the exit code."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
     pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
-    with subprocess.Popen([sys.executable, *command], env=environment, **pipe) as process:
+    with subprocess.Popen([sys.executable, *command], env=environment, cwd=ROOT, **pipe) as process:
         for line in process.stdout or ():
             log.write(line)
             log.flush()
@@ -159,14 +159,14 @@ def write_index(folder: Path) -> Path:
             advised |= found["verdicts"]
             claimed.setdefault(name, []).extend(found["claims"])
             whole = (part / "report.html").read_text(encoding="utf-8")
-            bodies.append(whole.partition(page.START)[2].partition(page.END)[0])
+            bodies.append(whole.partition(START)[2].partition(END)[0])
         lines += claims_of(name, claimed[name])
     short = [emphasised(case, text) for case, text in advised.items()]
     body = [f"<nav>{' '.join(links)}</nav>"]
     if short:
-        body += ["<h2>In short</h2>", *map(page.paragraph, short)]
+        body += ["<h2>In short</h2>", *map(paragraph, short)]
     path = folder / "index.html"
-    write_atomically(path, page.page("Published against tuned", [*body, *bodies]))
+    write_atomically(path, page("Published against tuned", [*body, *bodies]))
     data = json_text({"verdicts": advised, "claims": claimed})
     write_atomically(folder / "index.json", data + "\n")
     text = "\n".join(["# Reports", "", *(f"- {line}" for line in short), "", *lines])

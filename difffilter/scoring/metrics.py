@@ -17,6 +17,7 @@ from difffilter.seeds import stream
 __all__ = [
     "SCORES",
     "Score",
+    "bootstrap_indices",
     "bootstrap_interval",
     "isolated",
     "mean_nees",

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from browser import SCREENS, chromium, faults_on_paper, faults_on_screen, launched, opened
 from cli_helpers import succeeds
-from helpers import training_script
 from matplotlib.figure import Figure
 
 from difffilter.reports import page
 from difffilter.reports.report import Report
+from training import reproduce
 
 ROOT = Path(__file__).parents[2]
 CHECKPOINTS = ("airport-mlat-intermittent.json", "airborne-bearing.json")
@@ -44,7 +44,6 @@ def verdict(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def joined(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of all experiments, joined from reports made here."""
     folder = tmp_path_factory.mktemp("joined")
-    reproduce = training_script("reproduce")
     for name in list(reproduce.EXPERIMENTS)[:3]:
         wide_report(folder / name)
     reproduce.write_index(folder)

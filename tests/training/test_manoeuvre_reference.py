@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -12,7 +9,7 @@ import torch
 from fusion_cases import SCENES, estimated, scene
 from torch import Tensor
 
-TRAINING = Path(__file__).resolve().parents[2] / "training"
+from training.manoeuvre import claims, tables
 
 #: Specification 4, of 200 runs: mean RMSE in m of x and y, scene 1 then scene 2.
 TABLE = {
@@ -49,14 +46,9 @@ def test_on_the_pooled_measurement_one_filter_is_as_good_but_for_bad_measurement
 
 
 @pytest.fixture
-def training() -> Iterator[tuple[ModuleType, ModuleType]]:
+def training() -> tuple[ModuleType, ModuleType]:
     """The experiment's modules of claims and tables."""
-    sys.path.insert(0, str(TRAINING))
-    import manoeuvre_claims
-    import manoeuvre_tables
-
-    yield manoeuvre_claims, manoeuvre_tables
-    sys.path.remove(str(TRAINING))
+    return claims, tables
 
 
 #: RMSE of each system in m while all is well, in turns, and at bad measurements of scene 2.

@@ -8,16 +8,16 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from helpers import training_script
 
 from difffilter.reports.report import Report
+from training import reproduce as module
 
 TRAINING = Path(__file__).parents[2] / "training"
 
 
 @pytest.fixture(scope="module")
 def reproduce() -> ModuleType:
-    return training_script("reproduce")
+    return module
 
 
 def test_the_index_begins_with_what_to_do_and_counts_the_claims(

@@ -1,6 +1,7 @@
 """The experiments run from end to end, at small sizes, on the public interface alone."""
 
 import ast
+import importlib
 import json
 import subprocess
 import sys
@@ -12,9 +13,11 @@ import difffilter as df
 
 ROOT = Path(__file__).resolve().parents[2]
 TRAINING = ROOT / "training"
+SCRIPTS = sorted((*TRAINING.rglob("*.py"), *(ROOT / "docs" / "make").glob("*.py")))
 UWB = ROOT.parent / "shared" / "data" / "uwb_ranges"
 PUBLIC = {
     "difffilter",
+    "difffilter.reports.page",
     "difffilter.reports.report",
     "difffilter.scoring.metrics",
     "difffilter.files",
@@ -25,8 +28,8 @@ PUBLIC = {
 
 def run_quick(script: str, out: Path) -> dict:
     """Run an experiment with --quick; returns its report.json."""
-    command = [sys.executable, str(TRAINING / script), "--quick", "--quiet", "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", script, "--quick", "--quiet", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     return json.loads((out / "report.json").read_text())
 
@@ -34,7 +37,7 @@ def run_quick(script: str, out: Path) -> dict:
 def test_the_airport_experiment_runs_and_leaves_reports_figures_and_checkpoints(
     tmp_path: Path,
 ) -> None:
-    report = run_quick("airport_mlat.py", tmp_path)
+    report = run_quick("training.airport.run", tmp_path)
     assert len(report["tables"]["reference values"]) == 30
     assert len(report["comparisons"]) == 3
     for figure in report["figures"]:
@@ -47,7 +50,7 @@ def test_the_airport_experiment_runs_and_leaves_reports_figures_and_checkpoints(
 def test_the_bearing_experiment_runs_and_leaves_reports_figures_and_checkpoints(
     tmp_path: Path,
 ) -> None:
-    report = run_quick("airborne_bearing.py", tmp_path)
+    report = run_quick("training.bearing.run", tmp_path)
     for name in ("airborne-bearing", "airborne-bearing-clean"):
         rows = report["tables"][f"curves, {name}"]
         assert {row["system"] for row in rows} == {
@@ -69,7 +72,7 @@ def test_the_bearing_experiment_runs_and_leaves_reports_figures_and_checkpoints(
 def test_the_urban_experiment_runs_and_leaves_reports_figures_and_checkpoints(
     tmp_path: Path,
 ) -> None:
-    report = run_quick("urban_credibility.py", tmp_path)
+    report = run_quick("training.urban.run", tmp_path)
     rows = report["tables"]["table 1"]
     assert [row["algorithm"] for row in rows if row["from"] == "paper"] == [
         "standard",
@@ -90,7 +93,7 @@ def test_the_urban_experiment_runs_and_leaves_reports_figures_and_checkpoints(
 def test_the_manoeuvre_experiment_runs_and_leaves_reports_figures_and_checkpoints(
     tmp_path: Path,
 ) -> None:
-    report = run_quick("manoeuvre_fusion.py", tmp_path)
+    report = run_quick("training.manoeuvre.run", tmp_path)
     rows = report["tables"]["reference"]
     assert [row["system"] for row in rows if row["from"] == "specification"] == [
         "srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf", "fusion",
@@ -112,7 +115,7 @@ def test_the_manoeuvre_experiment_runs_and_leaves_reports_figures_and_checkpoint
 
 @pytest.mark.skipif(not UWB.is_dir(), reason="no UWB recordings in ../shared/data/uwb_ranges")
 def test_the_uwb_experiment_runs_all_four_rotations(tmp_path: Path) -> None:
-    report = run_quick("uwb_ranges.py", tmp_path)
+    report = run_quick("training.uwb.run", tmp_path)
     rows = report["tables"]["held-out runs"]
     assert {row["run"] for row in rows} == {"los_A1", "los_A2", "nlos_A1", "nlos_A2"}
     assert len([row for row in rows if row["values"].startswith("tuned")]) == 12
@@ -134,20 +137,40 @@ def test_the_uwb_experiment_runs_all_four_rotations(tmp_path: Path) -> None:
 
 
 def test_without_recordings_the_uwb_experiment_says_that_it_is_skipped(tmp_path: Path) -> None:
-    command = [sys.executable, str(TRAINING / "uwb_ranges.py"), "--data", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "training.uwb.run", "--data", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert done.returncode == 0
     assert done.stdout.startswith(f"skipped: no recordings in {tmp_path}")
 
 
-@pytest.mark.parametrize("script", sorted(TRAINING.glob("*.py")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "script", SCRIPTS, ids=lambda path: path.relative_to(ROOT).with_suffix("").as_posix()
+)
 def test_training_scripts_use_only_the_public_interface(script: Path) -> None:
     for node in ast.walk(ast.parse(script.read_text())):
-        names = []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module]
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("difffilter"):
+            public(str(node.module))
+            module = importlib.import_module(str(node.module))
+            exported = getattr(module, "__all__", dir(module))
+            missing = {alias.name for alias in node.names} - set(exported)
+            assert not missing, f"{node.module}: {missing}"
         elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        for name in names:
-            if name.startswith("difffilter"):
-                assert name in PUBLIC or name.startswith("difffilter.reports.figures"), name
+            for alias in node.names:
+                if alias.name.startswith("difffilter"):
+                    public(alias.name)
+
+
+def public(module: str) -> None:
+    """A module of the public interface."""
+    assert module in PUBLIC or module.startswith("difffilter.reports.figures"), module
+
+
+@pytest.mark.parametrize("paper", ["airport", "bearing", "manoeuvre", "urban", "uwb"])
+def test_each_experiment_has_the_same_few_files(paper: str) -> None:
+    files = {path.stem for path in (TRAINING / paper).glob("*.py")}
+    assert {"run", "claims", "tables"} <= files
+    assert ("paper" in files) == (paper != "uwb")  # recordings, no paper
+    assert files <= {
+        "run", "paper", "claims", "tables", "figures", "tracks", "equations", "traps",
+        "scores", "transfer",
+    }  # fmt: skip

@@ -6,13 +6,6 @@ from a prototype of the same reconstruction.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from difffilter.reports.report import Report
-
-if TYPE_CHECKING:
-    from manoeuvre_tables import Errors
-
 #: The filters that the paper compares, on one sensor.
 SINGLE = ("srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf")
 _SCENE_1 = (
@@ -57,28 +50,3 @@ UNCHECKED = {
     "paper 4: which curves figures 7 and 8 show, its Figure 1 and its tables":
         "the specification does not say",
 }  # fmt: skip
-
-
-def judge_more(report: Report, one: dict[str, Errors], two: dict[str, Errors]) -> None:
-    """Claims beside those of :mod:`manoeuvre_claims`."""
-    axes = {name: tuple(one[name].axes) for name in (*SINGLE, "fusion")}
-    report.claim(
-        "paper 4, Figures 3 and 4: the fusion is lowest in scene 1 in x and in y (of the filters "
-        "on one sensor and it)",
-        all(axes["fusion"][i] < axes[name][i] for name in SINGLE for i in range(2)),
-        {f"{name}, x to y": both for name, both in axes.items()},
-    )
-    means = {name: two[name].mean for name in (*SINGLE, "fusion")}
-    report.claim(
-        "the fusion is lowest in scene 2 too (of the filters on one sensor and it)",
-        all(means["fusion"] < means[name] for name in SINGLE),
-        means,
-    )
-    robust = {f"scene {i}": scene["robust-srckf"].mean for i, scene in enumerate((one, two), 1)}
-    report.claim(
-        "the robust SRCKF alone does not feel the bad measurements (within 5 %), and pays for it "
-        "under model error (worse than the SRCKF in scene 1)",
-        abs(robust["scene 2"] / robust["scene 1"] - 1.0) < 0.05
-        and robust["scene 1"] > one["srckf"].mean,
-        robust | {"srckf, scene 1": one["srckf"].mean},
-    )

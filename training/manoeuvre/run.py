@@ -4,22 +4,21 @@ Regenerates the paper's tables and figures 2 to 8, checks its claims, compares a
 equal terms (the pooled measurement), tunes the fusion, the LCASRCKF and one pooled filter.
 Writes report/manoeuvre-fusion and checkpoints/manoeuvre-fusion-1.json and -2.json.
 
-    python training/manoeuvre_fusion.py            # some minutes
-    python training/manoeuvre_fusion.py --quick    # under a minute, coarse
+    python -m training.manoeuvre.run            # some minutes
+    python -m training.manoeuvre.run --quick    # under a minute, coarse
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from common import QUICK, Stages, arguments, checkpoint_path, values_table
-from manoeuvre_claims import judge_claims
-from manoeuvre_paper import ITEMS, UNCHECKED, judge_more
-from manoeuvre_tables import Errors, errors, figures, gain, reference_table, track_panel
-from papers import contents
-
 import difffilter as df
 from difffilter.reports.report import Report
+from training.common import QUICK, Stages, arguments, checkpoint_path, values_table
+from training.contents import contents
+from training.manoeuvre.claims import judge_claims, judge_more
+from training.manoeuvre.paper import ITEMS, UNCHECKED
+from training.manoeuvre.tables import Errors, errors, figures, gain, reference_table, track_panel
 
 SCENES = ("manoeuvre-fusion-1", "manoeuvre-fusion-2")
 POOLED = ("srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf")

@@ -1,58 +1,18 @@
-"""What paper 1 shows and claims, and the verdicts on it, in metres."""
+"""The claims of paper 1, each judged by the numbers of this run, in metres."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 from torch import Tensor
 
+import difffilter as df
 from difffilter.reports.report import Report
+from training.bearing.paper import QUOTED
+from training.bearing.tables import Curves
 
-if TYPE_CHECKING:
-    from bearing_tables import Curves
-
-#: Differences of position RMSE that the paper states, m, and its Monte Carlo runs.
-QUOTED = {"ls - ekf": 150.0, "robust - ekf": 20.0, "gated - ekf": 3.0, "outliers": 100.0}
-RUNS = 200
 #: Level whose crossing tells when a filter has converged, m.
 CONVERGED = 20.0
-_CLEAN = (
-    f"{RUNS} runs, no outliers: the robust EKF about {QUOTED['robust - ekf']:g} m worse than the "
-    f"EKF, the gated one about {QUOTED['gated - ekf']:g} m."
-)
-_WILD = (
-    f"{RUNS} runs: from 100 s on the outliers cost the EKF about {QUOTED['outliers']:g} m, "
-    "hundreds after 130, 140 and 160 s, while both robust filters hardly move."
-)
-#: What the paper says of its figures and tables.
-SAYS = {
-    "table 1": "Table 1, the same.",
-    "figure 2": f"Figure 2, {RUNS} runs: the EKF beats least squares in accuracy, by about "
-    f"{QUOTED['ls - ekf']:g} m, and in convergence.",
-    "figure 3": f"Figure 3, {_CLEAN} It reports a slower convergence of the robust EKF, which "
-    "the standardisation by the noise alone shows (robust-noise).",
-    "figure 4": f"Figure 4, {_WILD}",
-    "curves, airborne-bearing-clean": f"Figures 2 and 3, {_CLEAN} The rows of the specification "
-    "are a prototype's, with a calibrated acceleration noise, not the paper's.",
-    "curves, airborne-bearing": f"Figure 4, {_WILD} The rows of the specification are a "
-    "prototype's, with a calibrated acceleration noise, not the paper's.",
-}
-ITEMS = (
-    ("Table 1", "outliers", "regenerated: table 1"),
-    ("Figure 2", "EKF against least squares", "regenerated: figure-2 and its table"),
-    ("Figure 3", "no outliers", "regenerated: figure-3 and its table"),
-    ("Figure 4", "outliers", "regenerated: figure-4 and its table"),
-    ("eqs. (3), (10)", "derivative of the bearing, innovation covariance", "both checked"),
-    ("other figures, tables", "not described in the specification", "not regenerated"),
-)
-UNCHECKED = {
-    "paper 1: its acceleration noise": "the paper gives none; 0.1 m/s^2 is calibrated, since "
-        "with 0 its claims about outliers do not come out",
-    "paper 1: how many bearings its start takes": "the paper gives no number; 6 is calibrated",
-    "paper 1: the values of the curves in Figures 2 to 4":
-        "the specification quotes differences alone",
-    "paper 1: its other figures and tables": "the specification describes none",
-}  # fmt: skip
 
 
 def late(curve: Tensor, first: int = 50, last: int = 200) -> float:
@@ -146,3 +106,41 @@ def _settled(curve: Tensor, last: int = 95) -> int:
     """The first second from which the curve stays below the level, up to ``last``."""
     above = (curve[:last] > CONVERGED).nonzero()
     return int(above.max()) + 2 if len(above) else 1
+
+
+def judge(report: Report, key: str, table: df.Comparison) -> None:
+    """The claims that a comparison decides."""
+    tuned, published = table.row("gated", "tuned"), table.row("gated")
+    told = table.row("clairvoyant")
+    numbers: dict[str, Any] = {
+        "tuned": tuned.rmse, "published": published.rmse, "clairvoyant": told.rmse,
+        "ratio, 95 %": tuned.ratio_ci95,
+    }  # fmt: skip
+    if key == "outliers":
+        held = tuned.rmse <= 0.6 * published.rmse and tuned.ratio_ci95[1] < 1.0
+        report.claim("Table 1: tuned at most 60 % of the published gated filter", held, numbers)
+    elif key == "multipath":
+        held = tuned.rmse <= 0.8 * published.rmse and tuned.ratio_ci95[1] < 1.0
+        held = held and tuned.rmse <= 1.08 * told.rmse
+        numbers["tuned without bias"] = table.row("gated", "tuned without bias").rmse
+        report.claim(
+            "multipath: tuned at most 80 % of the published gated filter, and within 8 % of the "
+            "clairvoyant with matched noise",
+            held,
+            numbers,
+        )
+    elif key == "clean":
+        ekf = table.row("ekf", "tuned ekf")
+        other = table.row("gated", "tuned on outliers")
+        report.claim(
+            "no outliers: the tuned filter loses at most 3 % to the tuned EKF",
+            tuned.rmse <= 1.03 * ekf.rmse and other.rmse <= 1.03 * ekf.rmse,
+            {"tuned": tuned.rmse, "tuned on Table 1's outliers": other.rmse, "ekf": ekf.rmse},
+        )
+    else:
+        report.claim(
+            "matched: the published filter is within 1 % of the clairvoyant, so that tuning has "
+            "nothing to win",
+            published.rmse <= 1.01 * told.rmse,
+            numbers,
+        )

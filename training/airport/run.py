@@ -3,24 +3,23 @@
 Simulates, tunes, freezes, compares on held-out trajectories, regenerates the paper's
 figures 6 to 9. Writes report/airport-mlat and the frozen values in checkpoints/.
 
-    python training/airport_mlat.py            # a few minutes
-    python training/airport_mlat.py --quick    # under a minute, coarse
+    python -m training.airport.run            # a few minutes
+    python -m training.airport.run --quick    # under a minute, coarse
 """
 
 from __future__ import annotations
 
-from airport_claims import ITEMS, UNCHECKED, judge_comparison, judge_figures
-from airport_figures import sweep_nlos, sweep_noise, windows_figure
-from airport_tables import REFERENCE, reference_table
-from airport_tracks import tracks_figure
-from common import QUICK, Stages, arguments, checkpoint_path, values_table
-from papers import contents
-
 import difffilter as df
 from difffilter.reports.report import Report
+from training.airport.claims import judge, judge_comparison, judge_figures
+from training.airport.figures import sweep_nlos, sweep_noise, windows_figure
+from training.airport.paper import ITEMS, UNCHECKED
+from training.airport.tables import REFERENCE, reference_table
+from training.airport.tracks import tracks_figure
+from training.common import QUICK, Stages, arguments, checkpoint_path, values_table
+from training.contents import contents
 
 LITERAL_50 = {"faults.nlos.scale": 50.0}
-VARIANTS = ("huber", "m-ekf", "m-ekf-all-rows", "m-ekf-mad")
 
 
 def main() -> None:
@@ -77,36 +76,6 @@ def main() -> None:
     judge_figures(report, windows, noise, levels)
     contents(report, ITEMS, UNCHECKED)
     stages.next(f"wrote {report.write()}")
-
-
-def judge(report: Report, name: str, table: df.Comparison) -> None:
-    """The claims that this comparison decides."""
-    tuned = table.row("m-ekf", "tuned")
-    clairvoyant = table.row("clairvoyant")
-    best = min((table.row(variant) for variant in VARIANTS), key=lambda row: row.rmse)
-    numbers = {"tuned": tuned.rmse, f"{best.system} published": best.rmse}
-    if name.startswith("intermittent"):
-        held = tuned.rmse <= 0.9 * best.rmse and tuned.ratio_ci95[1] < 1.0
-        numbers |= {"ratio to m-ekf published, 95 %": tuned.ratio_ci95}
-        report.claim(f"{name}: tuned at least 10 % below the best published", held, numbers)
-    elif "50 ns" in name:
-        report.claim(
-            f"{name}: tuned at most 1.3 m; the bias parameter makes it possible",
-            tuned.rmse <= 1.3,
-            numbers,
-        )
-    consistent = 0.7 <= tuned.nees_per_state <= 1.4
-    report.claim(
-        f"{name}: mean NEES per state of the tuned filter between 0.7 and 1.4",
-        consistent,
-        {"NEES per state": tuned.nees_per_state},
-    )
-    published = [row for row in table.rows if row.values == "published"]
-    report.claim(
-        f"{name}: with published noise values the clairvoyant EKF is best",
-        all(clairvoyant.rmse <= row.rmse * (1 + 1e-9) for row in published),
-        {"clairvoyant": clairvoyant.rmse, "best other": sorted(r.rmse for r in published)[1]},
-    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Writes the pictures and tables of the README and of docs/weights.md from the reports.
 
-python training/readme.py            # after make reproduce
+python -m docs.make.readme            # after make reproduce
 """
 
 from __future__ import annotations
@@ -10,7 +10,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from docs_tables import (
+from matplotlib.axes import Axes
+
+from difffilter.reports.figures.style import COLOURS, axes_grid, save_figure
+from difffilter.reports.figures.weights import weights_figure
+from docs.make.docs_tables import (
     AIRPORT,
     BEARING,
     MANOEUVRE,
@@ -22,12 +26,8 @@ from docs_tables import (
     uwb_row,
     weight_tables,
 )
-from matplotlib.axes import Axes
 
-from difffilter.reports.figures.style import COLOURS, axes_grid, save_figure
-from difffilter.reports.figures.weights import weights_figure
-
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"
 NAMES = (
     "airport-mlat",

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from airport_claims import SAYS, judge_mad
-
 import difffilter as df
 from difffilter.reports.report import Report
+from training.airport.claims import judge_mad
+from training.airport.paper import SAYS
 
 #: RMSE in m that a prototype of the published filters gave with 100 runs (N_L in ns, p).
 COLUMNS = ("ekf", "huber", "m-ekf", "m-ekf-all-rows", "m-ekf-mad")

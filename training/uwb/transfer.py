@@ -7,8 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
-from common import checkpoint_path
-from uwb_tables import (
+
+import difffilter as df
+from difffilter.reports.report import Report
+from training.common import checkpoint_path
+from training.uwb.claims import judge_transfer
+from training.uwb.scores import (
     HAND,
     LASTING,
     OTHERS,
@@ -18,13 +22,8 @@ from uwb_tables import (
     SQUARED,
     Errors,
     Score,
-    finding,
-    judge_transfer,
-    transfer_tables,
 )
-
-import difffilter as df
-from difffilter.reports.report import Report
+from training.uwb.tables import finding, transfer_tables
 
 
 def logs(scenario: df.Scenario, options: Namespace, runs: Sequence[str]) -> df.Log:

@@ -4,40 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from statistics import fmean
-from typing import NamedTuple
-
-from matplotlib.colors import LinearSegmentedColormap, LogNorm
-from matplotlib.figure import Figure
 
 import difffilter as df
-from difffilter.reports.figures.style import axes_grid
 from difffilter.reports.report import Report
+from training.uwb.figures import matrix_figure
+from training.uwb.scores import HAND, LASTING, ORDER, RUNS, SIMULATED, Errors, Scores, own, to_hand
 
-RUNS = ("los_A1", "los_A2", "nlos_A1", "nlos_A2")
-SIMULATED, SQUARED = "simulation", "simulation, squared error alone"
-LASTING = "simulation, longer bursts"
-HAND, OTHERS = "hand-picked", "the other three"
-PAIRS = {"both LOS": RUNS[:2], "both NLOS": RUNS[2:]}
-ORDER = (SIMULATED, SQUARED, LASTING, HAND, *RUNS, *PAIRS, OTHERS)
 TUNED = ("motion.acceleration", "range.sigma", "imq.k")
-
-
-class Score(NamedTuple):
-    """What a set of values does on a run: RMSE in m, NEES per axis."""
-
-    rmse: float
-    nees: float
-
-
-class Errors(NamedTuple):
-    """Range errors without the wild ones: standard deviation in m, correlation at 1 s."""
-
-    deviation: float
-    correlation: float
-
-
-#: By what the values were tuned on, and the run that they are run on.
-Scores = Mapping[tuple[str, str], Score]
 
 
 def transfer_tables(report: Report, sets: Mapping[str, df.Checkpoint], scores: Scores) -> None:
@@ -65,11 +38,6 @@ def transfer_tables(report: Report, sets: Mapping[str, df.Checkpoint], scores: S
     report.figure(matrix_figure(nees), "transfer-nees", caption)
 
 
-def own(tuned_on: str, run: str) -> bool:
-    """Whether a run is among those that values were tuned on."""
-    return run in PAIRS.get(tuned_on, (tuned_on,))
-
-
 def transfer_rows(scores: Scores) -> list[list[object]]:
     """Every set of values on every run, run by run."""
     return [
@@ -79,35 +47,6 @@ def transfer_rows(scores: Scores) -> list[list[object]]:
         for name in ORDER
         for row in [scores[name, run]]
     ]  # fmt: skip
-
-
-def matrix_figure(numbers: Mapping[tuple[str, str], float]) -> Figure:
-    """Rows tuned on, columns run on; light cells, white where a number is 1, dark text."""
-    cells = [[numbers[name, run] for run in RUNS] for name in ORDER]
-    reach = max(1.1, *(max(x, 1 / x) for line in cells for x in line))
-    colours = LinearSegmentedColormap.from_list("transfer", ["#9ecae8", "#ffffff", "#f5b37a"])
-    figure, (ax,) = axes_grid(1, 1, 6.0, 6.8)
-    ax.pcolormesh(cells, cmap=colours, norm=LogNorm(1 / reach, reach), edgecolors="#dddddd")
-    for i, name in enumerate(ORDER):
-        for j, run in enumerate(RUNS):
-            text = f"{cells[i][j]:.2f}" if cells[i][j] < 10 else f"{cells[i][j]:.0f}"
-            frame = {"boxstyle": "square,pad=0.35", "fill": False, "edgecolor": "#222222"}
-            ax.text(
-                j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=15,
-                color="#111111", bbox=frame if own(name, run) else None,
-            )  # fmt: skip
-    ax.set_xticks([j + 0.5 for j in range(len(RUNS))], RUNS, fontsize=13)
-    names = [name.replace(", ", ",\n") for name in ORDER]
-    ax.set_yticks([i + 0.5 for i in range(len(ORDER))], names, fontsize=13)
-    ax.tick_params(length=0)
-    ax.xaxis.tick_top()
-    ax.xaxis.set_label_position("top")
-    ax.set_xlabel("run on", fontsize=13, labelpad=8)
-    ax.set_ylabel("tuned on", fontsize=13)
-    ax.invert_yaxis()
-    ax.grid(False)
-    ax.spines[:].set_visible(False)
-    return figure
 
 
 def finding(
@@ -150,39 +89,5 @@ def finding(
     )
 
 
-def to_hand(scores: Scores, name: str) -> dict[str, float]:
-    """RMSE over that of the hand-picked values, by run."""
-    return {run: scores[name, run].rmse / scores[HAND, run].rmse for run in RUNS}
-
-
 def _span(numbers: Mapping[str, float]) -> str:
     return f"{min(numbers.values()):.2f} to {max(numbers.values()):.2f}"
-
-
-def judge_transfer(report: Report, scores: Scores) -> None:
-    """The claims about transfer."""
-    ratios = to_hand(scores, SIMULATED)
-    report.claim(
-        "tuned in simulation, run on recordings: RMSE not more than 10 % above the hand-picked "
-        "values in any run",
-        max(ratios.values()) <= 1.1,
-        ratios,
-    )
-    nees = {run: scores[SIMULATED, run].nees for run in RUNS}
-    mean = fmean(nees.values())
-    report.claim(
-        "tuned in simulation, run on recordings: mean NEES per axis over the four runs between "
-        "0.5 and 2.5",
-        0.5 <= mean <= 2.5,
-        {"mean": mean} | nees,
-    )
-    worst = {
-        run: max(scores[name, run].rmse for name in RUNS if name != run) / scores[OTHERS, run].rmse
-        for run in RUNS
-    }
-    report.claim(
-        "tuned on any single run: RMSE on each other run within 25 % of the values tuned on all "
-        "three others",
-        max(worst.values()) <= 1.25,
-        worst,
-    )

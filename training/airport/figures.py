@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from airport_claims import SAYS
-from airport_tables import WORLDS, nlos
 
 import difffilter as df
 from difffilter.reports.figures.curves import curves_figure
 from difffilter.reports.report import Report
 from difffilter.scoring.metrics import position_error
+from training.airport.paper import SAYS
+from training.airport.tables import WORLDS, nlos
 
 #: Panels of a figure: title to x values and a curve per system.
 Panels = dict[str, tuple[Any, dict[str, list[float]]]]

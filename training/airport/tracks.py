@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from airport_claims import SAYS
-from airport_tables import WORLDS
-
 import difffilter as df
 from difffilter.reports.figures.style import COLOURS, axes_grid
 from difffilter.reports.figures.tracks import track_figure
 from difffilter.reports.report import Report
+from training.airport.paper import SAYS
+from training.airport.tables import WORLDS
 
 FIELD = (
     "The field: receivers and runway A, 8 receivers, number 1 the reference; coordinates are "

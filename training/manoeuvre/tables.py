@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from manoeuvre_paper import SAYS
 from torch import Tensor
 
 import difffilter as df
@@ -14,6 +13,7 @@ from difffilter.reports.figures.curves import curves_figure
 from difffilter.reports.figures.style import COLOURS, axes_grid
 from difffilter.reports.report import Report
 from difffilter.scoring.metrics import bootstrap_indices, mean_nees, scored_rows
+from training.manoeuvre.paper import SAYS
 
 #: Specification 4, 200 runs: mean RMSE in m of x and y in scene 1, in scene 2, and in scene 2
 #: without 10 to 20 s, averaged over x and y.

@@ -4,8 +4,8 @@ Regenerates Table 1 and figures 3 and 4, draws the FSP surface, tunes the credib
 over all four scenes, and runs the variants with two axes and with a faulty third system.
 Writes report/urban-credibility and checkpoints/urban-credibility.json.
 
-    python training/urban_credibility.py            # some minutes
-    python training/urban_credibility.py --quick    # under a minute, coarse
+    python -m training.urban.run            # some minutes
+    python -m training.urban.run --quick    # under a minute, coarse
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from common import QUICK, Stages, arguments, checkpoint_path, values_table
-from papers import contents
-from urban_claims import ITEMS, UNCHECKED, judge_paper
-from urban_equations import judge_equations
-from urban_tables import error_figure, fsp_figure, table_1, variants
-from urban_traps import trust_traps
 
 import difffilter as df
-from difffilter.comparison.optimality import fsp, ratio_gain
+from difffilter.comparison.optimality import fsp
 from difffilter.reports.report import Report
+from training.common import QUICK, Stages, arguments, checkpoint_path, values_table
+from training.contents import contents
+from training.urban.claims import judge, judge_paper
+from training.urban.equations import judge_equations
+from training.urban.paper import ITEMS, UNCHECKED
+from training.urban.tables import error_figure, fsp_figure, table_1, variants
+from training.urban.traps import trust_traps
 
 
 def main() -> None:
@@ -78,29 +79,6 @@ def main() -> None:
     variants(report, tuned, 4 if quick else runs, seed + 4, not quick)
     contents(report, ITEMS, UNCHECKED)
     stages.next(f"wrote {report.write()}")
-
-
-def judge(report: Report, found: dict[str, Any]) -> None:
-    """What tuning bought, over all four scenes."""
-    ideal, published = found["ideal"], found["credibility"]
-    for name in ("tuned", "tuned mapping alone"):
-        gain = ratio_gain(found[name], published, ideal)
-        worst = max(gain.per_scene.values())
-        numbers = {"gain": gain.gain, "gain, 95 %": gain.ci95}
-        numbers |= {f"RMSE, scene {scene}": change for scene, change in gain.per_scene.items()}
-        if name == "tuned":
-            report.claim(
-                "tuned: the mean optimal filtering ratio rises by at least 15 %, no scene more "
-                "than 3 % worse",
-                gain.gain >= 0.15 and gain.ci95[0] > 0.0 and worst <= 0.03,
-                numbers,
-            )
-        else:
-            report.claim(
-                "without the credibility of the prediction little can be won (below 5 %)",
-                gain.gain < 0.05,
-                numbers,
-            )
 
 
 if __name__ == "__main__":

@@ -4,22 +4,22 @@ Regenerates figures 2 to 4 and the paper's claims, tunes the gated filter on Tab
 on the multipath variant and where there are no outliers, and shows a lock-out with its recovery.
 Writes report/airborne-bearing and the frozen values in checkpoints/.
 
-    python training/airborne_bearing.py            # some minutes
-    python training/airborne_bearing.py --quick    # under a minute, coarse
+    python -m training.bearing.run            # some minutes
+    python -m training.bearing.run --quick    # under a minute, coarse
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from bearing_claims import ITEMS, UNCHECKED, judge_more, judge_paper
-from bearing_equations import judge_equations
-from bearing_tables import curves, lock_out, outlier_table, reference_table, time_figure
-from common import QUICK, Stages, arguments, checkpoint_path, values_table
-from papers import contents
-
 import difffilter as df
 from difffilter.reports.report import Report
+from training.bearing.claims import judge, judge_more, judge_paper
+from training.bearing.equations import judge_equations
+from training.bearing.paper import ITEMS, UNCHECKED
+from training.bearing.tables import curves, lock_out, outlier_table, reference_table, time_figure
+from training.common import QUICK, Stages, arguments, checkpoint_path, values_table
+from training.contents import contents
 
 #: The multipath variant's drift, without multipath.
 QUIET = {"faults.multipath.probability": 0.0}
@@ -120,44 +120,6 @@ def main() -> None:
     lock_out(report, lockout, held_out, seed + 3)
     contents(report, ITEMS, UNCHECKED)
     stages.next(f"wrote {report.write()}")
-
-
-def judge(report: Report, key: str, table: df.Comparison) -> None:
-    """The claims that a comparison decides."""
-    tuned, published = table.row("gated", "tuned"), table.row("gated")
-    told = table.row("clairvoyant")
-    numbers: dict[str, Any] = {
-        "tuned": tuned.rmse, "published": published.rmse, "clairvoyant": told.rmse,
-        "ratio, 95 %": tuned.ratio_ci95,
-    }  # fmt: skip
-    if key == "outliers":
-        held = tuned.rmse <= 0.6 * published.rmse and tuned.ratio_ci95[1] < 1.0
-        report.claim("Table 1: tuned at most 60 % of the published gated filter", held, numbers)
-    elif key == "multipath":
-        held = tuned.rmse <= 0.8 * published.rmse and tuned.ratio_ci95[1] < 1.0
-        held = held and tuned.rmse <= 1.08 * told.rmse
-        numbers["tuned without bias"] = table.row("gated", "tuned without bias").rmse
-        report.claim(
-            "multipath: tuned at most 80 % of the published gated filter, and within 8 % of the "
-            "clairvoyant with matched noise",
-            held,
-            numbers,
-        )
-    elif key == "clean":
-        ekf = table.row("ekf", "tuned ekf")
-        other = table.row("gated", "tuned on outliers")
-        report.claim(
-            "no outliers: the tuned filter loses at most 3 % to the tuned EKF",
-            tuned.rmse <= 1.03 * ekf.rmse and other.rmse <= 1.03 * ekf.rmse,
-            {"tuned": tuned.rmse, "tuned on Table 1's outliers": other.rmse, "ekf": ekf.rmse},
-        )
-    else:
-        report.claim(
-            "matched: the published filter is within 1 % of the clairvoyant, so that tuning has "
-            "nothing to win",
-            published.rmse <= 1.01 * told.rmse,
-            numbers,
-        )
 
 
 if __name__ == "__main__":

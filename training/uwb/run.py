@@ -6,8 +6,8 @@ from its first measurements. Writes report/uwb-ranges and checkpoints/uwb-ranges
 on all four runs, with the leave-one-out results). Then asks what transfers: values tuned in
 simulation (checkpoints/uwb-simulated.json) and on one, two or three runs, on every run.
 
-    python training/uwb_ranges.py            # some minutes
-    python training/uwb_ranges.py --quick    # under a minute: the first 25 s of each run
+    python -m training.uwb.run            # some minutes
+    python -m training.uwb.run --quick    # under a minute: the first 25 s of each run
 """
 
 from __future__ import annotations
@@ -16,20 +16,14 @@ import sys
 from dataclasses import replace
 
 import torch
-from common import QUICK, Stages, arguments, checkpoint_path
-from uwb_tables import RUNS
-from uwb_transfer import logs, transfer
 
 import difffilter as df
 from difffilter.reports.figures.tracks import track_figure
 from difffilter.reports.report import Report
-
-LOSSES = {
-    "squared error": {"position": 1.0},
-    "likelihood, no truth": {"likelihood": 1.0},
-    "squared error and consistency": {"position": 1.0, "consistency": 0.1},
-}
-BEST = "squared error and consistency"
+from training.common import QUICK, Stages, arguments, checkpoint_path
+from training.uwb.claims import judge
+from training.uwb.scores import BEST, LOSSES, RUNS
+from training.uwb.transfer import logs, transfer
 
 
 def main() -> int:
@@ -118,36 +112,6 @@ def draw(report: Report, run: str, test: df.Log, checkpoint: df.Checkpoint) -> N
         track = df.run(checkpoint.filter, df.started(checkpoint.scenario, checkpoint.filter, test))
     caption = f"{run}, held out: tuned on the other three ({BEST})"
     report.figure(track_figure(test, track, 0, caption), f"run-{run}", caption)
-
-
-def judge(report: Report, scenario: df.Scenario, scores: dict[tuple[str, str], df.Row]) -> None:
-    """The claims that the rotations decide."""
-    eskf = {entry.run: entry.rmse for entry in scenario.references}
-    error, likelihood, both = ({run: scores[run, name].rmse for run in RUNS} for name in LOSSES)
-    report.claim(
-        "tuned by squared error: at least 10 % below the ESKF (UWB + IMU) in each rotation",
-        all(error[run] <= 0.9 * eskf[run] for run in RUNS),
-        {run: f"{error[run]:.3f} of {eskf[run]:.3f}" for run in RUNS},
-    )
-    report.claim(
-        "tuned without truth: within 25 % of that",
-        all(likelihood[run] <= 1.25 * error[run] for run in RUNS),
-        {run: likelihood[run] / error[run] for run in RUNS},
-    )
-    nees = [scores[run, BEST].nees_per_state for run in RUNS]
-    report.claim(
-        "tuned with consistency: mean NEES per axis over the four runs between 0.5 and 2.5",
-        0.5 <= sum(nees) / 4 <= 2.5,
-        {"mean": sum(nees) / 4} | dict(zip(RUNS, nees, strict=True)),
-    )
-    report.claim(
-        "tuned with consistency: RMSE within 15 % of the best",
-        all(both[run] <= 1.15 * min(error[run], likelihood[run], both[run]) for run in RUNS),
-        {run: both[run] / min(error[run], likelihood[run], both[run]) for run in RUNS},
-    )
-    gain = {run: error[run] / scores[run, "hand-picked"].rmse for run in RUNS}
-    report.claim("tuned by squared error: below the hand-picked values in each rotation",
-                 all(ratio < 1.0 for ratio in gain.values()), gain)  # fmt: skip
 
 
 if __name__ == "__main__":

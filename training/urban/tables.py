@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from urban_claims import PAPER, SAYS
 
 import difffilter as df
 from difffilter.comparison.optimality import FSP, fsp, fsp_surface
@@ -11,6 +10,7 @@ from difffilter.reports.figures.curves import curves_figure
 from difffilter.reports.figures.surface import surface_figure
 from difffilter.reports.report import Report
 from difffilter.scoring.metrics import position_error
+from training.urban.paper import PAPER, SAYS
 
 ALGORITHM = {"standard": "1", "credibility": "2", "ideal": "3"}
 

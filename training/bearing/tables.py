@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from bearing_claims import SAYS
 from torch import Tensor
 
 import difffilter as df
 from difffilter.reports.figures.curves import curves_figure
 from difffilter.reports.report import Report
 from difffilter.scoring.metrics import position_error
+from training.bearing.paper import SAYS
 
 AT = (10, 20, 50, 95, 105, 112, 129, 131, 141, 161, 199)
 #: Specification 1: position RMSE in m at those seconds, 2000 runs of a prototype.

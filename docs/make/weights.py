@@ -1,21 +1,20 @@
 """Which weight: every weight function on clean, contaminated and recorded data, as published
 and tuned.
 
-Writes report/weights; training/readme.py puts its tables into docs/weights.md.
+Writes report/weights; docs/make/readme.py puts its tables into docs/weights.md.
 
-    python training/weights.py            # some minutes
-    python training/weights.py --quick    # under a minute, coarse
+    python -m docs.make.weights            # some minutes
+    python -m docs.make.weights --quick    # under a minute, coarse
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from common import QUICK, Stages, arguments
-
 import difffilter as df
 from difffilter.reports.figures.weights import weights_figure
 from difffilter.reports.report import Report
+from training.common import QUICK, Stages, arguments
 
 #: An emitter that hardly drifts, as the filter knows: the bearings' noise decides the errors.
 STEADY = {"world.acceleration.sigma": 0.002, "parameters.motion.acceleration.value": 0.002}

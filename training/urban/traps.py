@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import torch
-from urban_claims import SAYS
 
 from difffilter.adaptation.trust import credibility_share, trap_width, trust_gap
 from difffilter.reports.figures.curves import curves_figure
 from difffilter.reports.figures.surface import surface_figure
 from difffilter.reports.report import Report
+from training.urban.paper import SAYS
 
 
 def trust_traps(report: Report) -> None:
