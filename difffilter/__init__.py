@@ -35,6 +35,7 @@ from difffilter.robust.federation import Federation
 from difffilter.robust.gate import Gate
 from difffilter.robust.recovery import Recovery
 from difffilter.running.batch import run
+from difffilter.running.problem import Problem
 from difffilter.running.tracker import Tracker
 from difffilter.scenario.checkpoint import Checkpoint, load, save
 from difffilter.scenario.document import scenario_names
@@ -44,6 +45,7 @@ from difffilter.scenario.recorded import load_logs
 from difffilter.scenario.scenario import Scenario, load_scenario
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
+from difffilter.scoring.losses import LOSSES, Loss, LossContext, loss
 from difffilter.scoring.metrics import Score, nees, rejected, rmse
 from difffilter.sensors.builtin import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
 from difffilter.sensors.sensor import FunctionSensor, wrap
@@ -71,6 +73,7 @@ __all__ = [
     "ADAPTATIONS",
     "BASELINES",
     "FSP",
+    "LOSSES",
     "TDOA",
     "WEIGHTS",
     "Bearing",
@@ -96,6 +99,8 @@ __all__ = [
     "InputError",
     "Log",
     "LogError",
+    "Loss",
+    "LossContext",
     "Measurement",
     "Member",
     "MultipleFading",
@@ -105,6 +110,7 @@ __all__ = [
     "Position",
     "PositionSensor",
     "PredictionCorrection",
+    "Problem",
     "Range",
     "Record",
     "Recovery",
@@ -138,6 +144,7 @@ __all__ = [
     "load",
     "load_logs",
     "load_scenario",
+    "loss",
     "nees",
     "plain",
     "ratio_gain",

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from difffilter import Filter, Log, load_scenario, simulate, started
 from difffilter.running.batch import run
-from difffilter.running.objectives import objective
+from difffilter.running.objectives import Problem, objective
 from difffilter.scoring.losses import LossContext
 from difffilter.scoring.metrics import position_error
 
@@ -67,9 +67,15 @@ def value_and_gradient(
 ) -> tuple[float, Tensor]:
     """The objective at the published values, and its gradient towards all of them."""
     values = leaves(filter)
-    total, _ = objective(
-        filter, log, values, losses=losses, context=context, temperature=temperature, engine=engine
+    problem = Problem(
+        filter,
+        log,
+        losses,
+        context=context or LossContext(),
+        temperature=temperature,
+        engine=engine,
     )
+    total, _ = objective(problem, values)
     found = torch.autograd.grad(total, list(values.values()), allow_unused=True)
     flat = [
         torch.zeros_like(v) if g is None else g for v, g in zip(values.values(), found, strict=True)

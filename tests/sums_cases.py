@@ -7,7 +7,7 @@ from engine_cases import LOSSES, irregular, leaves
 
 from difffilter import Filter, Log, Start
 from difffilter.motions.blocks import ConstantVelocity
-from difffilter.running.objectives import Sums, sum_losses
+from difffilter.running.objectives import Problem, Sums, sum_losses
 from difffilter.scoring.losses import LossContext
 from difffilter.sensors.position import Position
 from difffilter.weights.registry import tanh
@@ -22,8 +22,8 @@ def summed(
     temperature: float | None = 0.3,
 ) -> Sums:
     context = context or LossContext()
-    values = leaves(filter)
-    return sum_losses(filter, log, values, None, losses, context, temperature, engine)
+    problem = Problem(filter, log, losses, context=context, temperature=temperature, engine=engine)
+    return sum_losses(problem, leaves(filter))
 
 
 def plane(batch: int = 9) -> tuple[Filter, Log]:

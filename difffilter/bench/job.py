@@ -16,7 +16,7 @@ from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log, Start
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.running.batch import start_belief
-from difffilter.running.objectives import objective
+from difffilter.running.objectives import Problem, objective
 from difffilter.sensors.builtin import TDOA
 from difffilter.weights.registry import imq, tanh
 
@@ -159,9 +159,9 @@ def own(task: Task, engine: str) -> Contender:
     """This library, by one of its engines."""
 
     def loss(task: Task, values: Mapping[str, Tensor]) -> Tensor:
-        return objective(
-            task.recipe, task.log, values, task.start, losses={"position": 1.0}, engine=engine
-        )[0]
+        losses = {"position": 1.0}
+        asked = Problem(task.recipe, task.log, losses, start=task.start, engine=engine)
+        return objective(asked, values)[0]
 
     def value() -> float:
         with torch.no_grad():

@@ -50,7 +50,7 @@ def _library_task(filter: str) -> Callable[[], object]:
     import torch
 
     from difffilter.bench.job import TASKS, own, problem, task
-    from difffilter.running.objectives import objective
+    from difffilter.running.objectives import Problem, objective
     from difffilter.scenario.scenario import load_scenario
     from difffilter.scenario.simulation import simulate
 
@@ -63,11 +63,12 @@ def _library_task(filter: str) -> Callable[[], object]:
     scenario = load_scenario(name)
     system: Any = scenario.system(chosen)
     log = simulate(scenario, 2, 0)
+    asked = Problem(system, log, scenario.tuning.loss, engine="fused")
     free = {n: p.tensor() for n, p in system.declarations.items() if p.tuned}
 
     def evaluate() -> object:
         values = {n: v.clone().requires_grad_(torch.is_grad_enabled()) for n, v in free.items()}
-        loss, _ = objective(system, log, values, losses=scenario.tuning.loss, engine="fused")
+        loss, _ = objective(asked, values)
         return torch.autograd.grad(loss, list(values.values())) if loss.requires_grad else loss
 
     return evaluate

@@ -1,87 +1,65 @@
-"""Losses for tuning: each is one name, a sum over rows, and a function of that sum.
-
-A sum over rows is what any engine can form, row by row, with its gradient alone kept; the
-function of the sum is small and differentiated by autograd.
-"""
+"""The losses for tuning that the library brings, and how several are weighed together."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
-from difffilter.errors import InputError, shown
+from difffilter.errors import InputError
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
-from difffilter.scoring.metrics import Score, nees, nees_states, position_difference, scored_rows
+from difffilter.scoring.loss import (
+    LOSSES,
+    MEMBERS,
+    Loss,
+    LossContext,
+    loss,
+    mean,
+    with_scenes,
+)
+from difffilter.scoring.metrics import nees, nees_states, position_difference, scored_rows
 
-__all__ = ["LOSSES", "Loss", "LossContext", "check_losses", "total_loss", "weighted"]
-
+__all__ = [
+    "LOSSES",
+    "Loss",
+    "LossContext",
+    "check_losses",
+    "loss",
+    "total_loss",
+    "weighted",
+    "with_scenes",
+]
 
 #: A scene that gets worse costs eight times what its mean of four scenes gains.
 HINGE = 2.0
-#: Inputs that ``scenes`` reads beside the rows: squared errors to compare with, membership.
-REFERENCE, MEMBERS = "reference.squared", "scenes.members"
+#: Input that ``scenes`` reads beside the rows: squared errors to compare with.
+REFERENCE = "reference.squared"
 
 
-@dataclass(frozen=True)
-class LossContext:
-    """What a loss may need beside track and log.
+def _counted(value: Tensor, count: Tensor) -> Tensor:
+    return torch.stack([value, count.to(value.dtype)], dim=-1)
 
-    Attributes:
-        score: which rows count, as for :func:`difffilter.scoring.metrics.scored_rows`.
-        scenes: first and last step of each scene, for ``scenes``.
-        degrees: degrees of freedom of the Student density of ``likelihood``.
+
+def _departure(ratio: Tensor) -> Tensor:
+    """sqrt(1 + log(ratio)^2) - 1: quadratic near 1, and far off no steeper than the error.
+
+    A plain square would make a filter whose model is wrong inflate its noise before
+    anything else.
     """
-
-    score: Score | str = "all"
-    scenes: tuple[tuple[int, int], ...] = ()
-    degrees: float = 4.0
+    ratio = ratio.clamp_min(torch.finfo(ratio.dtype).tiny)  # an exact fit
+    return (1.0 + ratio.log().square()).sqrt() - 1.0
 
 
-@dataclass(frozen=True)
-class Loss:
-    """A named loss.
-
-    Attributes:
-        rows: (T, ..., q) of track, rows and context: what each row adds to q sums.
-        value: the loss of those sums (q,).
-        needs_truth: whether the rows must have truth.
-        meaning: one line.
-        residuals: (T, ..., e) whose squares are what ``rows`` adds to the first sum, for
-            Gauss-Newton; None for sums of another kind.
-    """
-
-    rows: Callable[[Track, Rows, LossContext], Tensor]
-    value: Callable[[Tensor], Tensor]
-    needs_truth: bool
-    meaning: str
-    residuals: Callable[[Track, Rows, LossContext], Tensor] | None = None
-
-    def __call__(self, track: Track, log: Rows, context: LossContext) -> Tensor:
-        """The loss of a whole track."""
-        added = self.rows(track, with_scenes(log, context), context)
-        return self.value(added.flatten(0, -2).sum(0))
-
-
+@loss("position", squares=True, needs_truth=True, meaning="log of the mean squared position error")
 def _scored_difference(track: Track, log: Rows, context: LossContext) -> Tensor:
     rows = scored_rows(log, track, context.score).unsqueeze(-1)
     return torch.where(rows, position_difference(log, track), 0.0)
 
 
-def _position_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
-    squared = _scored_difference(track, log, context).square().sum(-1)
-    return _counted(squared, scored_rows(log, track, context.score))
-
-
-def _position(sums: Tensor) -> Tensor:
-    """log of the mean squared position error: the minimum of the MSE, free of its scale."""
-    return (sums[0] / sums[1]).log()
-
-
+@loss("likelihood", meaning="robust negative log-likelihood of innovations")
 def _likelihood_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     """Negative log density of the nominal innovations, Student's t with few degrees.
 
@@ -100,6 +78,7 @@ def _likelihood_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     return _counted(density, record.present.sum(-1))
 
 
+@loss("normal-likelihood", meaning="negative log-likelihood of innovations, jointly normal")
 def _normal_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     """Negative log density of the nominal innovations, jointly normal: nothing robust."""
     record = track.record
@@ -108,21 +87,35 @@ def _normal_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     return _counted(-record.log_density, record.present.sum(-1))
 
 
-def _mean(sums: Tensor) -> Tensor:
-    return sums[0] / sums[1].clamp_min(1.0)
+def _consistency(sums: Tensor) -> Tensor:
+    """Zero where errors are as large as claimed: the mean NEES per state is 1."""
+    return _departure(sums[0] / sums[1])
 
 
+@loss(
+    "consistency",
+    value=_consistency,
+    needs_truth=True,
+    curved=True,
+    meaning="departure of the mean NEES per state from 1",
+)
 def _consistency_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     squared = nees(log, track)
     rows = scored_rows(log, track, context.score) & ~torch.isnan(squared)
     return _counted(torch.where(rows, squared, 0.0), rows * nees_states(log, track))
 
 
-def _consistency(sums: Tensor) -> Tensor:
-    """Zero where errors are as large as claimed: the mean NEES per state is 1."""
-    return _departure(sums[0] / sums[1])
+def _innovation_consistency(sums: Tensor) -> Tensor:
+    """Zero where the mean nominal NIS per present channel is 1. Needs no truth."""
+    return _departure(mean(sums))
 
 
+@loss(
+    "innovation-consistency",
+    value=_innovation_consistency,
+    curved=True,
+    meaning="departure of the mean NIS per channel from 1",
+)
 def _innovation_consistency_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     record = track.record
     if record is None:
@@ -130,11 +123,20 @@ def _innovation_consistency_rows(track: Track, log: Rows, context: LossContext) 
     return _counted(record.nis, record.present.sum(-1))
 
 
-def _innovation_consistency(sums: Tensor) -> Tensor:
-    """Zero where the mean nominal NIS per present channel is 1. Needs no truth."""
-    return _departure(_mean(sums))
+def _scenes(sums: Tensor) -> Tensor:
+    """Mean over scenes of log RMSE, and a hinge on each that is worse than published."""
+    squared, reference, count = sums.reshape(-1, 3).unbind(-1)
+    hinges = (0.5 * (squared / reference).log()).clamp_min(0.0)
+    return 0.5 * (squared / count).log().mean() + HINGE * hinges.sum()
 
 
+@loss(
+    "scenes",
+    value=_scenes,
+    needs_truth=True,
+    setting="whole trajectories of a scenario with [[scenes]]",
+    meaning="mean log RMSE of the scenes, none worse than published",
+)
 def _scenes_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     """Per scene: squared errors, those of the published filter on the same rows, rows.
 
@@ -150,72 +152,9 @@ def _scenes_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     return (log.inputs[MEMBERS].unsqueeze(-1) * added.unsqueeze(-2)).flatten(-2)
 
 
-def _scenes(sums: Tensor) -> Tensor:
-    """Mean over scenes of log RMSE, and a hinge on each that is worse than published."""
-    squared, reference, count = sums.reshape(-1, 3).unbind(-1)
-    hinges = (0.5 * (squared / reference).log()).clamp_min(0.0)
-    return 0.5 * (squared / count).log().mean() + HINGE * hinges.sum()
-
-
-def _counted(value: Tensor, count: Tensor) -> Tensor:
-    return torch.stack([value, count.to(value.dtype)], dim=-1)
-
-
-def _departure(ratio: Tensor) -> Tensor:
-    """sqrt(1 + log(ratio)^2) - 1: quadratic near 1, and far off no steeper than the error.
-
-    A plain square would make a filter whose model is wrong inflate its noise before
-    anything else.
-    """
-    return (1.0 + ratio.log().square()).sqrt() - 1.0
-
-
-#: Every loss by name.
-LOSSES: Mapping[str, Loss] = {
-    "position": Loss(
-        _position_rows,
-        _position,
-        True,
-        "log of the mean squared position error",
-        _scored_difference,
-    ),
-    "likelihood": Loss(
-        _likelihood_rows, _mean, False, "robust negative log-likelihood of innovations"
-    ),
-    "normal-likelihood": Loss(
-        _normal_rows, _mean, False, "negative log-likelihood of innovations, jointly normal"
-    ),
-    "consistency": Loss(
-        _consistency_rows, _consistency, True, "departure of the mean NEES per state from 1"
-    ),
-    "scenes": Loss(
-        _scenes_rows, _scenes, True, "mean log RMSE of the scenes, none worse than published"
-    ),
-    "innovation-consistency": Loss(
-        _innovation_consistency_rows,
-        _innovation_consistency,
-        False,
-        "departure of the mean NIS per channel from 1",
-    ),
-}
-
-
-def with_scenes(log: Rows, context: LossContext) -> Rows:
-    """The log with the input that says which rows are of which scene, (T, 1..., scenes)."""
-    if not context.scenes or MEMBERS in log.inputs:
-        return log
-    step = torch.arange(1, log.steps + 1)
-    inside = [(step >= first) & (step <= last) for first, last in context.scenes]
-    members = torch.stack(inside, dim=-1).to(log.z.dtype)
-    members = members.reshape(log.steps, *(1,) * (log.z.dim() - 2), len(context.scenes))
-    return replace(log, inputs={**log.inputs, MEMBERS: members})
-
-
 def check_losses(weights: Mapping[str, float], log: Rows) -> None:
     """Raise InputError for an unknown name, or truth needed that the log does not have."""
     for name in weights:
-        if name not in LOSSES:
-            raise InputError(f"loss: found {shown(name)}, expected one of {', '.join(LOSSES)}")
         if LOSSES[name].needs_truth and log.truth is None:
             free = ", ".join(n for n, loss in LOSSES.items() if not loss.needs_truth)
             raise InputError(f"loss {name}: needs truth columns, found none; without: {free}")

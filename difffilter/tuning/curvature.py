@@ -13,10 +13,16 @@ from difffilter.running.objectives import Sums
 from difffilter.scoring.losses import LOSSES
 from difffilter.tuning.processes import Ranks
 
-__all__ = ["SQUARED", "Expansion", "chain_rule", "expand"]
+__all__ = ["Expansion", "chain_rule", "expand", "known"]
 
-#: Losses whose curvature Gauss-Newton knows: squared errors, and scalar functions of means.
-SQUARED = {"position", "consistency", "innovation-consistency"}
+
+def known(weights: Mapping[str, float]) -> bool:
+    """Whether Gauss-Newton knows the curvature: squares, beside smooth functions of means."""
+    losses = [LOSSES[name] for name in weights]
+    squares = [loss.residuals is not None for loss in losses]
+    return any(squares) and all(
+        loss.curved or own for loss, own in zip(losses, squares, strict=True)
+    )
 
 
 class Expansion(NamedTuple):

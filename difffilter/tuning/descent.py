@@ -23,6 +23,7 @@ from difffilter.logs.log import Log
 from difffilter.parameters.parameters import ParameterSet, Values
 from difffilter.running.batch import run
 from difffilter.running.objectives import objective, sum_losses
+from difffilter.running.problem import Problem
 from difffilter.scenario.estimation import lean, started
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.settings import TuneSettings
@@ -265,10 +266,7 @@ class Descent:
         self.spent.seconds += time.perf_counter() - began
         self.ranks.agree(free)
         if not math.isfinite(moved.norm):
-            raise gradient_error(
-                self.filter, parameters.values(), batch, settings.loss, self.context,
-                temperatures[-1],
-            )  # fmt: skip
+            raise gradient_error(self.problem(batch, temperatures[-1]), parameters.values())
         board.gradient(start * settings.steps + step, moved.loss, moved.terms, moved.norm)
         return moved.loss
 
@@ -277,21 +275,27 @@ class Descent:
     ) -> tuple[Tensor, dict[str, Tensor]]:
         """Loss and terms of a batch, differentiable."""
         return objective(
-            self.filter, batch.log, values, batch.start, losses=self.settings.loss,
-            context=self.context, temperature=temperature, engine=self.engine,
-            reduce=self.ranks.differentiable_sum,
-        )  # fmt: skip
+            self.problem(batch, temperature), values, reduce=self.ranks.differentiable_sum
+        )
+
+    def problem(self, batch: Batch, temperature: float | None) -> Problem:
+        """What the loss of a batch is a function of values for."""
+        return Problem(
+            self.filter,
+            batch.log,
+            self.settings.loss,
+            start=batch.start,
+            context=self.context,
+            temperature=temperature,
+            engine=self.engine,
+        )
 
     def expand(
         self, parameters: ParameterSet, batch: Batch, temperature: float | None
     ) -> Expansion:
         """Loss of a batch to second order."""
-        loss = self.settings.loss
-        sums = sum_losses(
-            self.filter, batch.log, parameters.values(), batch.start, loss, self.context,
-            temperature, self.engine,
-        )  # fmt: skip
-        return expand(loss, sums, parameters, 1.0 / self.count, self.ranks)
+        sums = sum_losses(self.problem(batch, temperature), parameters.values())
+        return expand(self.settings.loss, sums, parameters, 1.0 / self.count, self.ranks)
 
     def certainty(self, values: Values) -> Certainty | None:
         """How well the training data determine the values; None with torch: too slow there."""
@@ -319,9 +323,16 @@ class Descent:
             one = self.check.select([0])
             values = ParameterSet(self.filter.declarations).values()
             sum_losses(
-                self.filter, one, values, None, self.settings.loss, self.context,
-                settings.temperature[0],
-            )  # fmt: skip
+                Problem(
+                    self.filter,
+                    one,
+                    settings.loss,
+                    context=self.context,
+                    temperature=settings.temperature[0],
+                    engine="fused",
+                ),
+                values,
+            )
         except EngineError as error:
             tell(error)
             return "torch"

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from difffilter.parameters.parameters import ParameterSet
 from difffilter.scenario.settings import TuneSettings
-from difffilter.tuning.curvature import SQUARED, Expansion
+from difffilter.tuning.curvature import Expansion, known
 from difffilter.tuning.moved import Evaluate, Expand, Moved
 from difffilter.tuning.processes import Ranks
 from difffilter.tuning.search import SEARCHES, Search
@@ -48,8 +48,7 @@ def chosen(settings: TuneSettings, engine: str) -> str:
     """Name of the optimiser; ``auto`` chooses by losses and engine."""
     if settings.optimiser != "auto":
         return settings.optimiser
-    squared = "position" in settings.loss and set(settings.loss) <= SQUARED
-    return "gauss-newton" if squared and engine == "fused" else "adam"
+    return "gauss-newton" if known(settings.loss) and engine == "fused" else "adam"
 
 
 def optimiser_for(

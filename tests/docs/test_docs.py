@@ -115,7 +115,7 @@ def sections(page: Path) -> dict[str, str]:
 @pytest.fixture
 def only_built_in() -> Iterator[None]:
     """Take back what an example registers."""
-    known = [(registry, set(registry)) for registry in (WEIGHTS, ADAPTATIONS, BASELINES)]
+    known = [(registry, set(registry)) for registry in (WEIGHTS, ADAPTATIONS, BASELINES, LOSSES)]
     yield
     for registry, names in known:
         for name in set(registry) - names:

@@ -23,7 +23,7 @@ from torch import Tensor
 from difffilter import Filter, Log, Start
 from difffilter.engine.build import compiler
 from difffilter.motions.blocks import ConstantVelocity, FunctionMotion
-from difffilter.running.objectives import objective
+from difffilter.running.objectives import Problem, objective
 from difffilter.sensors.position import Position
 from difffilter.sensors.sensor import FunctionSensor
 from difffilter.weights.registry import WEIGHTS, huber, igg3, tanh
@@ -164,9 +164,8 @@ def test_central_differences_agree_with_the_fused_gradient() -> None:
             for side in (1.0, -1.0):
                 moved = value.clone()
                 moved.view(-1)[i] += side * step
-                total, _ = objective(
-                    filter, log, {name: moved}, losses=LOSSES, temperature=0.3, engine="torch"
-                )
+                problem = Problem(filter, log, LOSSES, temperature=0.3, engine="torch")
+                total, _ = objective(problem, {name: moved})
                 ends.append(float(total))
             expected = (ends[0] - ends[1]) / (2.0 * step)
             assert float(gradient[at]) == pytest.approx(expected, rel=1e-5, abs=1e-7), name

@@ -21,8 +21,7 @@ from difffilter.engine.build import compiler
 from difffilter.errors import EngineError, InputError, NonFiniteError
 from difffilter.motions.blocks import FunctionMotion
 from difffilter.running.batch import prepared, run
-from difffilter.running.objectives import Sums, objective, sum_losses
-from difffilter.scoring.losses import LossContext
+from difffilter.running.objectives import Problem, Sums, objective, sum_losses
 from difffilter.sensors.sensor import FunctionSensor
 
 pytestmark = [
@@ -97,7 +96,7 @@ def test_the_memory_that_a_start_brings_is_used() -> None:
     fresh = whole._replace(memory={})
     rest = log.rows(6, 14)
     found = [
-        sum_losses(filter, rest, leaves(filter), start, LOSSES, LossContext(), None, engine)
+        sum_losses(Problem(filter, rest, LOSSES, start=start, engine=engine), leaves(filter))
         for start in (whole, fresh)
         for engine in ("fused", "torch")
     ]
@@ -153,7 +152,7 @@ def test_without_gradient_there_are_no_tangents() -> None:
 def test_the_sums_carry_their_gradient_into_autograd() -> None:
     filter, log = plane(3)
     values = leaves(filter)
-    found = sum_losses(filter, log, values, None, LOSSES, LossContext(), 0.3, "fused")
+    found = sum_losses(Problem(filter, log, LOSSES, temperature=0.3, engine="fused"), values)
     (gradient,) = torch.autograd.grad(found.values[1, 0], values["motion.acceleration"])
     at = list(values).index("motion.acceleration")
     assert float(gradient) == pytest.approx(float(found.tangents[1, at, 0]), rel=1e-12)
@@ -176,7 +175,7 @@ def test_a_value_that_is_not_finite_is_named_as_by_torch(gradient: bool) -> None
     errors = []
     for engine in ("torch", "fused"):
         with pytest.raises(NonFiniteError) as caught:
-            objective(filter, log, values, losses={"likelihood": 1.0}, engine=engine)
+            objective(Problem(filter, log, {"likelihood": 1.0}, engine=engine), values)
         errors.append(caught.value)
     assert str(errors[0]) == str(errors[1])
     assert (errors[1].trajectory, errors[1].step) == (1, 2)
@@ -192,7 +191,7 @@ def auto(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def value(filter: Filter, log: Log, engine: str) -> float:
     values = filter.published(log.z.dtype)
-    return float(objective(filter, log, values, losses={"likelihood": 1.0}, engine=engine)[0])
+    return float(objective(Problem(filter, log, {"likelihood": 1.0}, engine=engine), values)[0])
 
 
 def warned(filter: Filter, log: Log) -> list[str]:

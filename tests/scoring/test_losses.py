@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -12,12 +13,17 @@ from run_cases import FILTERS, airport_log
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.logs.log import Log
+from difffilter.logs.log import Log, Rows
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
+from difffilter.running.objectives import Problem, sum_losses
+from difffilter.scenario.table import Table
+from difffilter.scenario.tuning import read_tuning
 from difffilter.scoring.losses import LOSSES, LossContext, total_loss
+from difffilter.scoring.losses import loss as register
 from difffilter.scoring.metrics import nees, nees_states, nis_per_channel, position_error, rmse
+from difffilter.tuning.curvature import known
 
 BARE = airport_log(25, 4, seed=8)
 TRACK = run(FILTERS["m-ekf"], BARE)
@@ -128,7 +134,7 @@ def test_missing_truth_and_padding_never_count_and_never_spoil_a_gradient(name: 
     assert same(found, expected)
 
 
-@pytest.mark.parametrize("name", [n for n, known in LOSSES.items() if known.needs_truth])
+@pytest.mark.parametrize("name", [n for n, one in LOSSES.items() if one.needs_truth])
 def test_a_row_without_truth_is_left_out(name: str) -> None:
     assert LOG.truth is not None
     truth = LOG.truth.clone()
@@ -151,8 +157,8 @@ def test_every_loss_has_a_gradient_towards_the_noise(name: str) -> None:
 
 def test_losses_without_truth_need_none() -> None:
     bare = replace(LOG, truth=None, truth_states=())
-    for name, known in LOSSES.items():
-        if known.needs_truth:
+    for name, one in LOSSES.items():
+        if one.needs_truth:
             with pytest.raises(InputError, match=f"loss {name}: needs truth.*without: likelihood"):
                 total_loss({name: 1.0}, TRACK, bare, CONTEXT)
         else:
@@ -226,3 +232,51 @@ def test_scenes_needs_scenes_and_the_reference_of_whole_trajectories() -> None:
         loss("scenes", context=LossContext())
     with pytest.raises(InputError, match=message):
         loss("scenes", log=BARE)
+
+
+@pytest.fixture
+def only_known_losses() -> Iterator[None]:
+    """Take back what a test registers."""
+    names = set(LOSSES)
+    yield
+    for name in set(LOSSES) - names:
+        LOSSES.remove(name)
+
+
+@pytest.mark.usefixtures("only_known_losses", "quick_compiler")
+@pytest.mark.parametrize("engine", ["torch", "fused"])
+def test_a_loss_of_ones_own_is_one_registration(engine: str) -> None:
+    """Squares of what the name says, in either engine, with the curvature of its squares."""
+
+    @register("along", squares=True, needs_truth=True, meaning="log of mean squared error in x")
+    def along(track: Track, log: Rows, context: LossContext) -> Tensor:
+        assert log.truth is not None
+        return track.mean[..., :1] - log.truth[..., :1]
+
+    filter = FILTERS["ekf"]
+    values = {n: v.requires_grad_() for n, v in filter.published().items()}
+    found = sum_losses(Problem(filter, LOG, {"along": 1.0}, engine=engine), values)
+    assert LOG.truth is not None
+    error = (run(filter, LOG, engine="torch").mean[..., 0] - LOG.truth[..., 0]).numpy()
+    squares = (error**2).sum(0)
+    assert found.values[:, 0].detach().numpy() == pytest.approx(squares, rel=1e-9)
+    assert found.values[:, 1].tolist() == [LOG.steps] * LOG.trajectories
+    total = float(LOSSES["along"].value(found.values.sum(0)).detach())
+    assert total == pytest.approx(math.log((error**2).mean()), rel=1e-9)
+    assert float(found.gram.diagonal(dim1=-2, dim2=-1).sum()) > 0.0
+    assert known({"along": 1.0})
+    assert known({"along": 1.0, "consistency": 1.0})
+    assert not known({"along": 1.0, "likelihood": 1.0})
+    assert read_tuning(Table({"loss": {"along": 2.0}}, "here"), ("a",)).loss == {"along": 2.0}
+
+
+@pytest.mark.parametrize("name", ["position", "consistency"])
+def test_an_exact_fit_is_no_error(name: str) -> None:
+    """The smallest loss there is, and no gradient; only rows that do not count are refused."""
+    sums = torch.tensor([0.0, 12.0], dtype=torch.float64, requires_grad=True)
+    value = LOSSES[name].value(sums)
+    value.backward()
+    assert math.isfinite(float(value.detach()))
+    assert sums.grad is not None
+    assert sums.grad.tolist() == [0.0, 0.0]
+    assert math.isnan(float(LOSSES[name].value(tensor([0.0, 0.0]))))

@@ -13,9 +13,8 @@ from difffilter.engine.build import compiler
 from difffilter.motions.blocks import FunctionMotion
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Parameter, ParameterSet
-from difffilter.running.objectives import sum_losses
+from difffilter.running.objectives import Problem, sum_losses
 from difffilter.scenario.settings import TuneSettings
-from difffilter.scoring.losses import LossContext
 from difffilter.sensors.sensor import FunctionSensor
 from difffilter.tuning.curvature import Expansion, expand
 from difffilter.tuning.optimisers import GaussNewton
@@ -61,7 +60,7 @@ FILTER = walk()
 def expanded(
     parameters: ParameterSet, log: Log, losses: dict[str, float], temperature: float = 0.0
 ) -> Expansion:
-    sums = sum_losses(FILTER, log, parameters.values(), None, losses, LossContext("all"), None)
+    sums = sum_losses(Problem(FILTER, log, losses, engine="fused"), parameters.values())
     return expand(losses, sums, parameters, 0.0)
 
 

@@ -15,9 +15,9 @@ from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
+from difffilter.running.problem import Problem
 from difffilter.scenario.scenario import load_scenario
 from difffilter.scenario.simulation import simulate
-from difffilter.scoring.losses import LossContext
 from difffilter.sensors.builtin import Position
 from difffilter.tuning.data import Batch
 from difffilter.tuning.diagnose import gradient_error
@@ -103,7 +103,7 @@ def test_a_gradient_that_is_not_finite_is_located(step: int, trajectory: int, ch
     batch = Batch(log, Start(torch.zeros(3, 6).double()))
     values = filter.published()
     assert run(filter, log, values, batch.start).mean.isfinite().all()
-    error = gradient_error(filter, values, batch, {"position": 1.0}, LossContext(), None)
+    error = gradient_error(Problem(filter, log, {"position": 1.0}, start=batch.start), values)
     assert (error.trajectory, error.step) == (trajectory, step)
     assert error.channel == filter.channels[channel]
     assert str(error).startswith("gradient is not finite: trajectory ")
