@@ -10,6 +10,7 @@ __all__ = [
     "LogError",
     "NonFiniteError",
     "RankError",
+    "printable",
     "shown",
 ]
 
@@ -72,3 +73,10 @@ class NonFiniteError(DifffilterError, ArithmeticError):
         super().__init__(
             f"{what} is not finite: trajectory {trajectory}, step {step}, channel {channel}"
         )
+
+
+def printable(text: str, most: int = 1000) -> str:
+    """Text for a terminal: no control characters, the middle left out where it is long."""
+    if len(text) > most:
+        text = f"{text[: 2 * most // 3]} ... {text[-most // 3 :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

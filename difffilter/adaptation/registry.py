@@ -14,7 +14,7 @@ from difffilter.adaptation.scaling import InnovationScaling
 from difffilter.registry import Registry
 from difffilter.weights.weight import Weight
 
-__all__ = ["ADAPTATIONS", "Host", "adaptation"]
+__all__ = ["ADAPTATIONS", "Host", "adapter"]
 
 
 class Host(NamedTuple):
@@ -38,7 +38,7 @@ M = TypeVar("M", bound=Callable[..., Adaptation])
 ADAPTATIONS: Registry[Maker] = Registry("adaptation")
 
 
-def adaptation(name: str) -> Callable[[M], M]:
+def adapter(name: str) -> Callable[[M], M]:
     """Decorator: enters an adaptation in :data:`ADAPTATIONS`.
 
     It decorates a class whose arguments all have defaults, or a function of a :class:`Host`
@@ -55,10 +55,10 @@ def adaptation(name: str) -> Callable[[M], M]:
     return enter
 
 
-adaptation("innovation-scaling")(InnovationScaling)
+adapter("innovation-scaling")(InnovationScaling)
 ADAPTATIONS.add("credibility", lambda host: Credibility(host.systems, host.axes))
 ADAPTATIONS.add("ideal-credibility", lambda host: Credibility(host.systems, host.axes, ideal=True))
-adaptation("innovation-matching")(InnovationMatching)
+adapter("innovation-matching")(InnovationMatching)
 ADAPTATIONS.add("prediction-correction", lambda host: PredictionCorrection(host.axes))
 ADAPTATIONS.add("strong-tracking", lambda host: StrongTracking(host.weight))
 ADAPTATIONS.add("multiple-fading", lambda host: MultipleFading(host.weight))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from importlib.metadata import version
+from contextlib import suppress
+from io import TextIOWrapper
+from typing import TYPE_CHECKING
 
-from difffilter.cli import bench, compare, export, report, run, scenarios, show, simulate, tune
-from difffilter.cli.options import Parser
-from difffilter.errors import DifffilterError
+if TYPE_CHECKING:
+    from difffilter.cli.options import Parser
 
 __all__ = ["main"]
 
@@ -38,6 +39,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit code: 0, 2 for wrong input, 130 after Ctrl-C.
     """
     try:
+        return _run(argv)
+    except KeyboardInterrupt:  # during the imports, too: they are within
+        _say("difffilter: interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        return _unread()
+
+
+def _run(argv: Sequence[str] | None) -> int:
+    """One command, with the errors that it raises told."""
+    from difffilter.errors import DifffilterError
+
+    if sys.stdout is None:
+        return _failed("standard output is closed, expected it open")
+    _write_anything()
+    try:
         args = _parser().parse_args(argv)
         code: int = args.command(args)
         sys.stdout.flush()
@@ -45,16 +62,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else 0
     except DifffilterError as error:
         return _failed(" ".join(str(error).split()))
-    except KeyboardInterrupt:
-        print("difffilter: interrupted", file=sys.stderr)
-        return INTERRUPTED
     except BrokenPipeError:
-        # The reader has gone; keep the interpreter's last flush from complaining.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
+        raise
     except OSError as error:
         return _failed(f"{error.filename or 'output'}: {error.strerror or error}")
-    except RuntimeError as error:
+    except (MemoryError, OverflowError, RuntimeError) as error:
         reason = _beyond_the_machine(error)
         if not reason:
             raise
@@ -62,32 +74,56 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-def _beyond_the_machine(error: RuntimeError) -> str:
+def _write_anything() -> None:
+    """A character that the terminal's encoding lacks is written as its number; nothing fails."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _unread() -> int:
+    """The reader has gone: keep the interpreter's last flush from complaining."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return BROKEN_PIPE
+
+
+def _beyond_the_machine(error: MemoryError | OverflowError | RuntimeError) -> str:
     """What to say of an input that asks too much of torch; "" for any other error."""
     if type(error).__name__ == "_LinAlgError":  # torch is not imported here: that takes a second
         return (
             "a covariance cannot be factored: numbers too large or too small, "
             "expected sound times, noise levels and positions"
         )
-    if "allocate memory" in str(error):
+    large = isinstance(error, (MemoryError, OverflowError)) or "Storage size" in str(error)
+    if large or "allocate memory" in str(error):
         return "not enough memory, expected fewer or shorter trajectories"
     return ""
 
 
 def _failed(message: str) -> int:
-    print(f"difffilter: error: {message}", file=sys.stderr)
+    from difffilter.errors import printable
+
+    _say(f"difffilter: error: {printable(message)}")
     return WRONG_INPUT
 
 
+def _say(line: str) -> None:
+    """A line on stderr; nothing where that is closed."""
+    with suppress(OSError, ValueError):
+        if sys.stderr is not None:
+            print(line, file=sys.stderr)
+
+
 def _parser() -> Parser:
+    from difffilter.cli import bench, compare, export, report, run, scenarios, show, simulate, tune
+    from difffilter.cli.options import Parser, Version
+
     parser = Parser(
         "difffilter",
         "Robust Kalman-type filters, tuned by gradient, frozen, compared with published values.",
         EXAMPLE,
     )
-    parser.add_argument(
-        "--version", action="version", version=f"difffilter {version('difffilter')}"
-    )
+    parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for module in (scenarios, show, simulate, tune, compare, run, report, bench, export):
         module.add(commands)

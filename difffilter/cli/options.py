@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from difffilter.errors import InputError, shown
+from difffilter.errors import InputError, printable, shown
 
 if TYPE_CHECKING:
     from difffilter.scenario.scenario import Scenario
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Commands",
     "Parser",
+    "Version",
     "check_place",
     "load_named",
     "named_weight",
@@ -45,7 +46,8 @@ class Parser(ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """One line that names the option, and where to read more."""
-        self.exit(2, f"difffilter: error: {' '.join(message.split())} (see {self.prog} --help)\n")
+        line = printable(" ".join(message.split()))
+        self.exit(2, f"difffilter: error: {line} (see {self.prog} --help)\n")
 
     def add_scenario(self) -> None:
         """SCENARIO and --set."""
@@ -84,6 +86,17 @@ class Parser(ArgumentParser):
     def add_seed(self, default: int, what: str) -> None:
         """--seed."""
         self.add_argument("--seed", type=whole(0), default=default, help=f"{what} ({default})")
+
+
+class Version(argparse.Action):
+    """--version; what knows it is imported only then."""
+
+    def __call__(self, parser: ArgumentParser, *ignored: Any) -> NoReturn:
+        """Print and exit."""
+        from importlib.metadata import version
+
+        print(f"difffilter {version('difffilter')}")
+        parser.exit()
 
 
 class Commands(Protocol):

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from difffilter.cli.options import Commands, load_named
 from difffilter.cli.output import number, print_json, table
-from difffilter.scenario.systems import recipes
 
 if TYPE_CHECKING:
     from difffilter.scenario.scenario import Scenario
@@ -81,6 +80,8 @@ def _data(scenario: Scenario) -> dict[str, Any]:
 
 
 def _text(scenario: Scenario) -> Iterator[str]:
+    from difffilter.scenario.systems import recipes
+
     document = scenario.document
     yield f"{scenario.name}: {scenario.title}"
     if scenario.source:

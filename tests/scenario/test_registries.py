@@ -13,7 +13,7 @@ from difffilter import (
     BASELINES,
     WEIGHTS,
     Checkpoint,
-    adaptation,
+    adapter,
     baseline,
     load,
     save,
@@ -54,7 +54,7 @@ def test_a_weight_of_ones_own_works_like_a_built_in_one(tmp_path) -> None:
 
 
 def test_an_adaptation_is_a_class_or_a_function_of_its_filter() -> None:
-    @adaptation("nothing")
+    @adapter("nothing")
     class Nothing(Passive):
         pass
 
@@ -62,7 +62,7 @@ def test_an_adaptation_is_a_class_or_a_function_of_its_filter() -> None:
     class Told(Passive):
         seen: tuple[object, ...] = ()
 
-    adaptation("told")(lambda host: Told((host.weight.name, host.systems, host.axes)))
+    adapter("told")(lambda host: Told((host.weight.name, host.systems, host.axes)))
     keys = {"weight": "huber", "adaptation": ["nothing", "told"]}
     scenario = load_scenario("uwb-simulated", {"systems.mine": keys})
     system = scenario.system("mine")
