@@ -16,7 +16,7 @@ from difffilter.logs.log import Log, Start
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.robust.gate import Gate
 from difffilter.sensors.builtin import TDOA
-from difffilter.sensors.sensor import Inputs, Noise
+from difffilter.sensors.sensor import Inputs
 from difffilter.weights.registry import huber, igg3, imq, tanh
 
 SIGMA = 3.0
@@ -40,9 +40,6 @@ class Shifted(TDOA):
     def measure(self, position: Tensor, inputs: Inputs, constants: object) -> tuple[Tensor, Tensor]:
         h, gradient = super().measure(position, inputs, constants)  # type: ignore[arg-type]
         return h + inputs["offset"], gradient
-
-    def noise(self, constants: object) -> Noise:
-        return super().noise(constants)  # type: ignore[arg-type]
 
 
 FILTERS: dict[str, Filter] = {

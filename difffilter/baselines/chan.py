@@ -118,7 +118,8 @@ class ChanLeastSquares(Snapshot):
 
     def fix(self, log: Log, constants: Values, values: Values | None, start: Start | None) -> Fix:
         sensor = the_tdoa(self.sensors, self.axes)
-        noise = sensor.noise(constants)
+        origin = torch.zeros(self.axes, dtype=log.z.dtype)  # its noise depends on no state
+        noise = sensor.noise(origin, log.inputs, constants)
         information = Information(noise.independent, noise.common, log.present)
         z, stations = range_differences(sensor, log, constants)
         return chan(z, stations, information.matrix, self.iterations, self.tangent)

@@ -48,7 +48,7 @@ class WhitenedPosition(PositionSensor):
         like = next(iter(values.values()))
         return {"chan.unit": like.new_ones(self.axes), "chan.bias": like.new_zeros(self.axes)}
 
-    def noise(self, constants: Values) -> Noise:
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
         unit = constants["chan.unit"]
         return Noise(unit, unit.new_zeros(self.axes, 0), unit)
 
@@ -142,7 +142,8 @@ class ChanEKF(Snapshot):
     def smooth(self, log: Log, constants: Values, start: Start, progress: bool) -> Track:
         """Range differences and their rates (T, ..., 2 m), by a filter of each channel."""
         sensor = the_tdoa(self.sensors, self.axes)
-        m, noise = len(self.channels), sensor.noise(constants)
+        origin = torch.zeros(self.axes, dtype=log.z.dtype)  # its noise depends on no state
+        m, noise = len(self.channels), sensor.noise(origin, log.inputs, constants)
         full = bool(noise.common.shape[-1])
         sigma = noise.total.sqrt()
         if full:
@@ -178,7 +179,8 @@ class ChanEKF(Snapshot):
         sensor, m = the_tdoa(self.sensors, self.axes), len(self.channels)
         _, stations = range_differences(sensor, log, constants)
         # A start without variance has a singular covariance at its own time: keep it regular.
-        floor = torch.finfo(log.z.dtype).eps * sensor.noise(constants).total
+        noise = sensor.noise(smoothed.mean[..., : self.axes], log.inputs, constants)
+        floor = torch.finfo(log.z.dtype).eps * noise.total
         spread = smoothed.deviations[..., :m, :]
         information = Information(floor.expand_as(log.z), spread, log.present).matrix
         z = torch.where(log.present, smoothed.mean[..., :m], torch.nan)

@@ -18,7 +18,9 @@ from difffilter.running.batch import run
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.estimation import started
 from difffilter.scenario.simulation import simulate
+from difffilter.scoring.truth import nominal_sigma
 from difffilter.seeds import stream
+from difffilter.sensors.information import stacked_noise
 
 __all__ = ["Golden", "golden"]
 
@@ -106,10 +108,7 @@ def _weights(track: Track) -> Tensor:
 
 def _disturbed(log: Log, filter: Filter, values: Values) -> Log:
     """The log with wild values, so that gates, weights and recovery have work."""
-    constants = filter.prepare(values)
-    sigma = torch.cat(
-        [s.noise(constants).total.expand(len(s.channels)) for s in filter.sensors]
-    ).sqrt()
+    sigma = nominal_sigma(filter, log, values)
     generator = stream(SEED, "wild")
     wild = torch.rand(log.z.shape, generator=generator) < OFTEN
     wild[BURST[0] : BURST[1]] = True
@@ -159,8 +158,7 @@ def _walk(filter: Filter, checkpoint: Checkpoint, known: Sequence[str]) -> Log:
         row = {name: value[k] for name, value in inputs.items()}
         state = filter.motion.transition(state, torch.tensor(0.1).double(), row, constants)
         parts = [sensor.predict(state, row, constants) for sensor in filter.sensors]
-        noise = torch.cat([sensor.noise(constants).total.expand_as(p) for sensor, p in
-                           zip(filter.sensors, parts, strict=True)])  # fmt: skip
+        noise = stacked_noise(filter.sensors, state, row, constants).total
         draw = torch.randn(len(noise), generator=generator, dtype=torch.float64)
         rows.append(torch.cat(parts) + noise.sqrt() * draw)
     z = torch.stack(rows)

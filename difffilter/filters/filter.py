@@ -28,6 +28,7 @@ from difffilter.robust.federation import Federation
 from difffilter.robust.gate import Gate
 from difffilter.robust.groups import DISTANCES, Scope, channel_groups
 from difffilter.robust.recovery import Recovery
+from difffilter.sensors.information import common_noise
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.stations import StationSensor
 from difffilter.weights.registry import Weight, plain
@@ -154,8 +155,7 @@ class Filter:
             raise InputError("mad: expected scope channel with it")
         if getattr(self.adaptation, "independent_noise", False):
             for sensor in self.sensors:
-                values = {p.name: p.tensor() for p in sensor.parameters}
-                if sensor.noise(sensor.prepare(values)).common.shape[-1]:
+                if common_noise(sensor):
                     raise InputError(
                         f"adaptation: found noise common to channels of {sensor.channels[0]}, "
                         "expected independent noise"

@@ -19,6 +19,7 @@ from difffilter.core.linalg import square_norms
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.sensors.information import common_noise
 
 if TYPE_CHECKING:
     from difffilter.filters.filter import Filter
@@ -80,8 +81,7 @@ class Fusion:
         if len(sensors) < 3 or len(kinds) > 1:
             raise InputError("fusion: expected three sensors or more of one kind and size")
         for sensor in sensors:
-            values = {p.name: p.tensor() for p in sensor.parameters}
-            if sensor.noise(sensor.prepare(values)).common.shape[-1]:
+            if common_noise(sensor):
                 raise InputError("fusion: found noise common to channels, expected independent")
 
     def start(self, filter: Filter, mean: Tensor, deviations: Tensor) -> dict[str, Tensor]:

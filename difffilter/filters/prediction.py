@@ -10,11 +10,14 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Measurement
 from difffilter.core.compression import compress
-from difffilter.core.cubature import moments, points
+from difffilter.core.cubature import moments
 from difffilter.core.linalg import join
 from difffilter.core.linearised import Linearised
 from difffilter.filters.filter import Filter
+from difffilter.motions.protocol import Motion
+from difffilter.motions.retraction import cloud, lifted, moved
 from difffilter.parameters.parameters import Values
+from difffilter.sensors.information import block_diagonal
 from difffilter.sensors.sensor import Sensor
 
 __all__ = ["Predicted", "linearise", "predict"]
@@ -39,19 +42,31 @@ def predict(
     """
     motion, dt, inputs = filter.motion, measurement.dt, measurement.inputs
     if filter.linearise == "cubature" and not motion.linear:
-        cloud = points(belief.mean, belief.deviations)
-        mean, moved = moments(motion.transition(cloud, dt, inputs, constants))
+        mean, ahead = _moved_points(motion, belief, dt, inputs, constants)
     else:
         mean = motion.transition(belief.mean, dt, inputs, constants)
-        moved = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
-    process = motion.noise(dt, constants)
+        ahead = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
+    process = motion.noise(belief.mean, dt, inputs, constants)
     if filter.adaptation is not None:
         process = filter.adaptation.before_predict(belief.memory, process, inputs, constants)
 
     def transition(columns: Tensor) -> Tensor:
         return motion.propagate(belief.mean, columns, dt, inputs, constants)
 
-    return Predicted(mean, compress(moved, process), moved, process, transition)
+    return Predicted(mean, compress(ahead, process), ahead, process, transition)
+
+
+def _moved_points(
+    motion: Motion, belief: Belief, dt: Tensor, inputs: Mapping[str, Tensor], constants: Values
+) -> tuple[Tensor, Tensor]:
+    """Mean and deviations (..., p, 2p) of the moved cubature points."""
+    points = cloud(motion, belief.mean, belief.deviations)
+    ahead = motion.transition(points, dt, inputs, constants)
+    if motion.flat:
+        return moments(ahead)
+    centre = motion.transition(belief.mean, dt, inputs, constants)
+    offset, deviations = moments(motion.local(centre.expand_as(ahead), ahead))
+    return moved(motion, centre, offset, deviations)
 
 
 def linearise(
@@ -87,17 +102,19 @@ def _linearise(
     """Innovation and deviations of all sensors' channels, noise common to channels included."""
     inputs = measurement.inputs
     cubature = filter.linearise == "cubature"
-    cloud = points(mean, deviations) if cubature else mean
+    motion = filter.motion
+    points = cloud(motion, mean, deviations) if cubature else mean
+    columns = deviations if cubature else lifted(motion, mean, deviations)
     innovations, observed, independent, total, common = [], [], [], [], []
     at = 0
     for sensor in filter.sensors:
         here = slice(at, at := at + len(sensor.channels))
         if cubature:
-            predicted, z_deviations = _at_points(sensor, mean, cloud, inputs, constants)
+            predicted, z_deviations = _at_points(sensor, mean, points, inputs, constants)
         else:
-            predicted, z_deviations = sensor.observe(mean, deviations, inputs, constants)
+            predicted, z_deviations = sensor.observe(mean, columns, inputs, constants)
         z = torch.where(present[..., here], measurement.z[..., here], predicted)
-        noise = sensor.noise(constants)
+        noise = sensor.noise(mean, inputs, constants)
         innovations.append(sensor.residual(z, predicted))
         observed.append(z_deviations)
         independent.append(noise.independent.expand_as(predicted))
@@ -114,13 +131,13 @@ def _linearise(
         innovation = torch.where(present, innovation - inputs["fault.mean"], 0.0)
         r, r_total = r + extra, r_total + extra
     z_deviations = _join(observed, -2, 2)
-    columns = sum(block.shape[-1] for block in common)
-    if columns:
-        shared = torch.block_diag(*common)  # type: ignore[no-untyped-call]
+    shared = block_diagonal(common)
+    count = shared.shape[-1]
+    if count:
         shared = shared.expand(*mean.shape[:-1], -1, -1)
         z_deviations = torch.cat([z_deviations, shared], dim=-1)
-        deviations = torch.nn.functional.pad(deviations, (0, columns))
-    return Linearised(mean, deviations, innovation, z_deviations, r, r_total, columns), present
+        deviations = torch.nn.functional.pad(deviations, (0, count))
+    return Linearised(mean, deviations, innovation, z_deviations, r, r_total, count), present
 
 
 def _at_points(

@@ -14,6 +14,7 @@ from difffilter.core.compression import compress
 from difffilter.core.linearised import Linearised
 from difffilter.filters.filter import Filter
 from difffilter.filters.prediction import linearise, predict
+from difffilter.motions.retraction import moved
 from difffilter.parameters.parameters import Values
 from difffilter.robust.groups import spread
 from difffilter.robust.recovery import STREAK, Recovery
@@ -63,11 +64,12 @@ def step(
         memory = {**memory, STREAK: streak}
     if isolated is not None:
         record = record._replace(isolated=isolated)
-    n = linear.mean.shape[-1]
+    n = linear.deviations.shape[-2]
     posterior = conditioned.deviations[..., :n, :]
     if posterior.shape[-1] > n:  # common noise, cubature: static, by the recipe
         posterior = compress(posterior)
-    return Belief(linear.mean + conditioned.shift[..., :n], posterior, memory), record
+    mean, posterior = moved(filter.motion, linear.mean, conditioned.shift[..., :n], posterior)
+    return Belief(mean, posterior, memory), record
 
 
 def _isolate(

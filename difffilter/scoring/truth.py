@@ -9,8 +9,9 @@ from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
+from difffilter.sensors.information import stacked_noise
 
-__all__ = ["measurement_errors", "true_states"]
+__all__ = ["measurement_errors", "nominal_sigma", "true_states"]
 
 
 def true_states(filter: Filter, log: Log) -> Tensor:
@@ -49,6 +50,22 @@ def measurement_errors(filter: Filter, log: Log, values: Values | None = None) -
         parts.append(sensor.residual(z, sensor.predict(states, log.inputs, constants)))
         at += len(sensor.channels)
     return torch.cat(parts, dim=-1)
+
+
+def nominal_sigma(filter: Filter, log: Log, values: Values | None = None) -> Tensor:
+    """(m,) or (T, ..., m), standard deviation of each channel's noise for the rows of a log.
+
+    Noise that depends on the state is that of the true one; of a state of zeros where the log
+    does not tell it.
+    """
+    constants = filter.prepare(values)
+    known = set(log.truth_states) if log.truth is not None else set()
+    if known.issuperset(filter.states):
+        mean = true_states(filter, log).nan_to_num()
+    else:
+        mean = torch.zeros(len(filter.states), dtype=log.z.dtype)
+    total = stacked_noise(filter.sensors, mean, log.inputs, constants).total
+    return (total.expand(len(filter.channels)) if total.dim() < 2 else total).sqrt()
 
 
 def _rate(x: Tensor, time: Tensor) -> Tensor:

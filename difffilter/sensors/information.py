@@ -8,20 +8,57 @@ import torch
 from torch import Tensor
 
 from difffilter.parameters.parameters import Values
-from difffilter.sensors.sensor import Noise, Sensor
+from difffilter.sensors.sensor import Inputs, Noise, Sensor
 
-__all__ = ["Information", "covariance_factor", "stacked_noise"]
+__all__ = [
+    "Information",
+    "block_diagonal",
+    "common_noise",
+    "covariance_factor",
+    "stacked_noise",
+]
 
 
-def stacked_noise(sensors: Sequence[Sensor], constants: Values) -> Noise:
-    """Noise of all sensors' channels: (m,), (m, u) and (m,)."""
-    parts = [sensor.noise(constants) for sensor in sensors]
-    common = torch.block_diag(*(part.common for part in parts))  # type: ignore[no-untyped-call]
+def stacked_noise(
+    sensors: Sequence[Sensor], mean: Tensor, inputs: Inputs, constants: Values
+) -> Noise:
+    """Noise of all sensors' channels at a state (..., n): (..., m), (..., m, u) and (..., m)."""
+    parts = [sensor.noise(mean, inputs, constants) for sensor in sensors]
     return Noise(
-        torch.cat([part.independent for part in parts]),
-        common,
-        torch.cat([part.total for part in parts]),
+        _beside([part.independent for part in parts]),
+        block_diagonal([part.common for part in parts]),
+        _beside([part.total for part in parts]),
     )
+
+
+def common_noise(sensor: Sensor) -> bool:
+    """Whether the sensor has noise common to channels, by its published values."""
+    constants = sensor.prepare({p.name: p.tensor() for p in sensor.parameters})
+    columns = getattr(sensor, "common_columns", None)
+    if columns is None:
+        columns = sensor.noise(torch.zeros(()), {}, constants).common.shape[-1]
+    return bool(columns)
+
+
+def _beside(parts: Sequence[Tensor]) -> Tensor:
+    if all(part.dim() == 1 for part in parts):
+        return torch.cat([*parts])
+    lead = torch.broadcast_shapes(*(part.shape[:-1] for part in parts))  # type: ignore[no-untyped-call]
+    return torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], dim=-1)
+
+
+def block_diagonal(parts: Sequence[Tensor]) -> Tensor:
+    """(..., m, u) of blocks (..., m_i, u_i) along the diagonal."""
+    if all(part.dim() == 2 for part in parts):
+        return torch.block_diag(*parts)  # type: ignore[no-any-return, no-untyped-call]
+    lead = torch.broadcast_shapes(*(part.shape[:-2] for part in parts))  # type: ignore[no-untyped-call]
+    width, at, rows = sum(part.shape[-1] for part in parts), 0, []
+    for part in parts:
+        own = part.shape[-1]
+        padded = torch.nn.functional.pad(part, (at, width - at - own))
+        rows.append(padded.expand(*lead, *padded.shape[-2:]))
+        at += own
+    return torch.cat(rows, dim=-2)
 
 
 class Information:

@@ -61,13 +61,18 @@ class PositionSensor:
         return NoiseAndBias(self.name, self.channels, self.sigma, self.bias, self.unit)
 
     @property
+    def common_columns(self) -> int:
+        """How many columns of noise common to channels there are."""
+        return self.base.common_columns
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         return self.base.parameters
 
     def prepare(self, values: Values) -> dict[str, Tensor]:
         return self.base.prepare(values)
 
-    def noise(self, constants: Values) -> Noise:
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
         return self.base.noise(constants)
 
     def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:

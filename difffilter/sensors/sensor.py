@@ -22,7 +22,7 @@ Difference = Callable[[Tensor, Tensor], Tensor]
 
 
 class Noise(NamedTuple):
-    """R = diag(independent) + common common^T.
+    """R = diag(independent) + common common^T: (..., m) and (..., m, u).
 
     With a full R everything stands in ``common`` and ``independent`` is zero; ``total``
     is the diagonal of R.
@@ -31,6 +31,12 @@ class Noise(NamedTuple):
     independent: Tensor
     common: Tensor
     total: Tensor
+
+    def times(self, factor: Tensor) -> Noise:
+        """The noise of errors that are factor (..., m) times as large."""
+        square = factor.square()
+        common = self.common * factor.unsqueeze(-1) if self.common.shape[-1] else self.common
+        return Noise(self.independent * square, common, self.total * square)
 
 
 class Sensor(Protocol):
@@ -58,8 +64,12 @@ class Sensor(Protocol):
     def residual(self, z: Tensor, predicted: Tensor) -> Tensor:
         """Measurement minus prediction, elementwise (angles wrap here)."""
 
-    def noise(self, constants: Values) -> Noise:
-        """Measurement noise, nominal."""
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
+        """Measurement noise, nominal, of the state (..., n) and the row's known inputs.
+
+        Its parts broadcast with the measurement: (m,) where the noise is always the same,
+        (..., m) where it depends on state or inputs.
+        """
 
 
 def difference(z: Tensor, predicted: Tensor) -> Tensor:
@@ -135,6 +145,12 @@ class NoiseAndBias:
             f"{name}.total": total,
         }
 
+    @property
+    def common_columns(self) -> int:
+        """How many columns of noise common to channels there are: all of R, if it is full."""
+        full = torch.tensor(as_number(self.sigma)).dim() == 2
+        return len(self.channels) if full else 0
+
     def noise(self, constants: Values) -> Noise:
         """Read back what :meth:`prepare` made."""
         keys = ("independent", "common", "total")
@@ -150,8 +166,10 @@ class FunctionSensor:
         function: (state (..., n), inputs, values) -> (..., m); any leading dimensions.
         sigma, bias: as for the built-in sensors; unit: of the measurement.
         residual_function: :func:`difference`, or :func:`wrap` for angles.
-        extra: declarations of further values that the function reads.
+        extra: declarations of further values that the functions read.
         name: prefix of the parameters.
+        noise_function: (state (..., n), inputs, values) -> factors (..., m) on ``sigma``, where
+            the noise depends on the state or on a column of the log; None for 1.
     """
 
     channels: tuple[str, ...]
@@ -162,6 +180,12 @@ class FunctionSensor:
     residual_function: Difference = difference
     extra: tuple[Parameter, ...] = ()
     name: str = "sensor"
+    noise_function: Callable[[Tensor, Inputs, Values], Tensor] | None = None
+
+    @property
+    def common_columns(self) -> int:
+        """How many columns of noise common to channels there are."""
+        return self._noise.common_columns
 
     @property
     def _noise(self) -> NoiseAndBias:
@@ -188,5 +212,8 @@ class FunctionSensor:
     def residual(self, z: Tensor, predicted: Tensor) -> Tensor:
         return self.residual_function(z, predicted)
 
-    def noise(self, constants: Values) -> Noise:
-        return self._noise.noise(constants)
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
+        noise = self._noise.noise(constants)
+        if self.noise_function is None:
+            return noise
+        return noise.times(self.noise_function(mean, inputs, constants))

@@ -144,6 +144,10 @@ class TDOA(Range):
         return tuple(f"{self.name}_{i + 1}" for i in range(1, len(self.stations)))
 
     @property
+    def common_columns(self) -> int:
+        return super().common_columns + (self.common_sigma is not None)
+
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         if self.common_sigma is None:
             return self.base.parameters

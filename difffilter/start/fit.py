@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from difffilter.core.linalg import positive_sqrt
 from difffilter.parameters.parameters import Values
@@ -77,10 +78,10 @@ def gauss_newton(
     lead = torch.broadcast_shapes(start.shape[:-1], z.shape[1:-1])  # type: ignore[no-untyped-call]
     position = start.expand(*lead, axes)
     present = ~torch.isnan(z)
-    noise = stacked_noise(sensors, constants)
+    size = states or axes
+    noise = stacked_noise(sensors, pad(position, (0, size - axes)), inputs, constants)
     inverse = Information(noise.independent, noise.common, present)
     sigma = noise.total.sqrt()
-    size = states or axes
 
     def root_weights(error: Tensor) -> Tensor:
         return torch.ones_like(error) if weigh is None else positive_sqrt(weigh(error / sigma))
@@ -142,7 +143,7 @@ def _linearise(
 ) -> tuple[Tensor, Tensor]:
     """Residual (..., m) and gradient of h towards the position (..., m, axes)."""
     axes = position.shape[-1]
-    state = torch.nn.functional.pad(position, (0, states - axes))
+    state = pad(position, (0, states - axes))
     along = torch.eye(states, axes, dtype=position.dtype, device=position.device)
     along = along.expand(*position.shape[:-1], states, axes)
     observed = [sensor.observe(state, along, inputs, constants) for sensor in sensors]

@@ -161,7 +161,6 @@ def _locate(
     iterations: int,
 ) -> tuple[Tensor, Tensor]:
     """Position (B, axes) of lowest Cauchy cost and its deviations; NaN where undetermined."""
-    sigma = stacked_noise(sensors, constants).total.sqrt()
     z = epochs.z.unsqueeze(1)
     inputs = {name: value.unsqueeze(1) for name, value in epochs.inputs.items()}
 
@@ -169,6 +168,7 @@ def _locate(
         """(C, B, axes) -> (C, B)."""
         state = torch.nn.functional.pad(position, (0, states - axes))
         predicted = [sensor.predict(state, inputs, constants) for sensor in sensors]
+        sigma = stacked_noise(sensors, state, inputs, constants).total.sqrt()
         s = residual(sensors, z, predicted) / (scale * sigma)
         total = torch.log1p(s.square()).sum((0, -1))
         return torch.where(torch.isnan(total), torch.inf, total)

@@ -6,14 +6,13 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
 
 from difffilter.comparison.held_out import HeldOut, Outcome
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.scenario import Scenario
-from difffilter.scoring.truth import measurement_errors
+from difffilter.scoring.truth import measurement_errors, nominal_sigma
 from difffilter.seeds import stream
 
 __all__ = ["CONDITIONS", "Grid", "Stressed", "stress", "stress_grid"]
@@ -129,15 +128,6 @@ def _stressed(name: str, level: float, published: Outcome, tuned: Outcome) -> St
     return Stressed(name, level, error[0], error[1], nees, tuned.ratio(published))
 
 
-def _sigma(filter: Filter) -> Tensor:
-    """(m,), published standard deviation of each channel."""
-    constants = filter.prepare()
-    parts = [
-        sensor.noise(constants).total.expand(len(sensor.channels)) for sensor in filter.sensors
-    ]
-    return torch.cat(parts).sqrt()
-
-
 def _noisier(filter: Filter, log: Log, level: float, seed: int) -> Log:
     log = log.only(filter.channels)
     if level < 1.0:
@@ -147,7 +137,7 @@ def _noisier(filter: Filter, log: Log, level: float, seed: int) -> Log:
             errors = torch.where((mean != 0.0) | (variance != 0.0), 0.0, errors)
         return replace(log, z=log.z - (1.0 - level) * errors)
     draw = torch.randn(log.z.shape, generator=stream(seed, "noise"), dtype=log.z.dtype)
-    return replace(log, z=log.z + (level**2 - 1.0) ** 0.5 * _sigma(filter) * draw)
+    return replace(log, z=log.z + (level**2 - 1.0) ** 0.5 * nominal_sigma(filter, log) * draw)
 
 
 def _wilder(filter: Filter, log: Log, level: float, seed: int) -> Log:
@@ -157,7 +147,7 @@ def _wilder(filter: Filter, log: Log, level: float, seed: int) -> Log:
     hit = torch.rand(shape, generator=generator) < level
     size = 5.0 + 15.0 * torch.rand(shape, generator=generator, dtype=log.z.dtype)
     sign = torch.where(torch.rand(shape, generator=generator) < 0.5, -1.0, 1.0)
-    return replace(log, z=torch.where(hit, log.z + sign * size * _sigma(filter), log.z))
+    return replace(log, z=torch.where(hit, log.z + sign * size * nominal_sigma(filter, log), log.z))
 
 
 def _sparser(filter: Filter, log: Log, level: float, seed: int) -> Log:

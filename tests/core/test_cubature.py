@@ -98,7 +98,7 @@ def pointwise(level: float) -> FunctionMotion:
     def move(state: Tensor, dt: Tensor, inputs: object, values: object) -> Tensor:
         return known.transition(state, dt, {}, {})
 
-    return FunctionMotion(known.states, move, lambda dt, _: known.noise(dt, constants))
+    return FunctionMotion(known.states, move, lambda m, dt, i, _: known.noise(m, dt, i, constants))
 
 
 def ranges(x: np.ndarray) -> np.ndarray:

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
-from difffilter.motions.blocks import ConstantVelocity, CoordinatedTurn, FunctionMotion
-from difffilter.parameters.parameters import Parameter, as_number, published_values
+from difffilter.motions.blocks import ConstantVelocity, CoordinatedTurn, FunctionMotion, Motion
+from difffilter.parameters.parameters import Parameter, Values, as_number, published_values
 from difffilter.scenario.scenario import load_scenario
 
 ORACLES = {"discrete": kinematics.discrete_noise, "continuous": kinematics.continuous_noise}
@@ -34,6 +34,11 @@ def acceleration(form: str, axes: int) -> tuple[object, np.ndarray]:
     return as_number(full.tolist()), full
 
 
+def noise_of(motion: Motion, dt: Tensor, constants: Values) -> Tensor:
+    """The noise of a motion that needs neither the state nor inputs."""
+    return motion.noise(torch.zeros(len(motion.states)).double(), dt, {}, constants)
+
+
 @pytest.mark.parametrize("dt", DTS)
 @pytest.mark.parametrize("axes", [1, 2, 3])
 @pytest.mark.parametrize("form", ["scale", "diagonal", "full"])
@@ -41,7 +46,7 @@ def acceleration(form: str, axes: int) -> tuple[object, np.ndarray]:
 def test_the_process_noise_is_the_textbook_q(kind: str, form: str, axes: int, dt: float) -> None:
     value, covariance = acceleration(form, axes)
     motion = ConstantVelocity(axes, kind, value)  # type: ignore[arg-type]
-    deviations = motion.noise(tensor(dt), constants_of(motion))
+    deviations = noise_of(motion, tensor(dt), constants_of(motion))
     expected = ORACLES[kind](covariance, dt)
     assert_close(deviations @ deviations.mT, expected, 1e-13)
 
@@ -51,7 +56,7 @@ def test_no_time_means_no_noise_and_no_motion(kind: str) -> None:
     motion = ConstantVelocity(2, kind, 3.0)
     constants, zero = constants_of(motion), tensor(0.0)
     mean, deviations = tensor([1.0, 2.0, 3.0, 4.0]), torch.eye(4).double()
-    assert not motion.noise(zero, constants).any()
+    assert not noise_of(motion, zero, constants).any()
     assert torch.equal(motion.transition(mean, zero, {}, constants), mean)
     assert torch.equal(motion.propagate(mean, deviations, zero, {}, constants), deviations)
 
@@ -74,11 +79,11 @@ def test_every_trajectory_may_have_its_own_interval(rng: np.random.Generator, ki
     constants = constants_of(motion)
     dt = tensor(rng.uniform(0.0, 2.0, (2, 3)))
     mean, deviations = (tensor(rng.standard_normal(s)) for s in ((2, 3, 4), (2, 3, 4, 4)))
-    noise = motion.noise(dt, constants)
+    noise = noise_of(motion, dt, constants)
     moved = motion.transition(mean, dt, {}, constants)
     spread = motion.propagate(mean, deviations, dt, {}, constants)
     for i in np.ndindex(2, 3):
-        assert_close(noise[i], motion.noise(dt[i], constants), 1e-15)
+        assert_close(noise[i], noise_of(motion, dt[i], constants), 1e-15)
         assert_close(moved[i], motion.transition(mean[i], dt[i], {}, constants), 1e-15)
         alone = motion.propagate(mean[i], deviations[i], dt[i], {}, constants)
         assert_close(spread[i], alone, 1e-15)
@@ -96,7 +101,7 @@ def test_the_noise_covariance_passes_gradcheck_towards_the_acceleration(
 
     def covariance(free: Tensor) -> Tensor:
         constants = motion.prepare({parameter.name: parameter.constraint.physical(free)})
-        deviations = motion.noise(tensor([0.0, 0.4]), constants)
+        deviations = noise_of(motion, tensor([0.0, 0.4]), constants)
         return deviations @ deviations.mT
 
     assert torch.autograd.gradcheck(covariance, free)
@@ -151,7 +156,7 @@ def test_a_function_motion_equals_the_built_in_model(
     assert_close(moved, built_in.transition(mean, dt, {}, a), 1e-15)
     moved = function.propagate(mean, deviations, dt, {}, b)
     assert_close(moved, built_in.propagate(mean, deviations, dt, {}, a), 1e-15)
-    assert_close(function.noise(dt, b), built_in.noise(dt, a), 1e-15)
+    assert_close(noise_of(function, dt, b), noise_of(built_in, dt, a), 1e-15)
 
 
 def turn(state: Tensor, dt: Tensor, inputs: dict[str, Tensor], values: dict[str, Tensor]) -> Tensor:
@@ -201,10 +206,10 @@ def test_noise_of_the_states_is_diagonal_whatever_the_interval(value: object) ->
     assert (parameter.name, parameter.unit) == ("motion.state_sigma", "m, m/s")
     constants = constants_of(motion)
     dt = tensor([0.0, 0.3, 7.0])
-    deviations = motion.noise(dt, constants)
+    deviations = noise_of(motion, dt, constants)
     expected = np.diag(np.broadcast_to(value, 4) ** 2)
     assert_close(deviations @ deviations.mT, np.tile(expected, (3, 1, 1)), 1e-14)
-    assert_close(motion.noise(dt[0], constants), np.sqrt(expected), 1e-14)
+    assert_close(noise_of(motion, dt[0], constants), np.sqrt(expected), 1e-14)
     mean = tensor([1.0, 2.0, 3.0, 4.0])
     expected = kinematics.transition(2, 0.3) @ array(mean)
     assert_close(motion.transition(mean, dt[1], {}, constants), expected, 1e-15)
@@ -212,7 +217,7 @@ def test_noise_of_the_states_is_diagonal_whatever_the_interval(value: object) ->
 
     def covariance(free: Tensor) -> Tensor:
         own = motion.prepare({parameter.name: parameter.constraint.physical(free)})
-        deviations = motion.noise(dt, own)
+        deviations = noise_of(motion, dt, own)
         return deviations @ deviations.mT
 
     assert torch.autograd.gradcheck(covariance, free)

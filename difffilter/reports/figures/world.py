@@ -10,7 +10,7 @@ from torch import Tensor
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log
 from difffilter.reports.figures.style import COLOURS, axes_grid
-from difffilter.scoring.truth import measurement_errors
+from difffilter.scoring.truth import measurement_errors, nominal_sigma
 from difffilter.sensors.stations import StationSensor
 
 __all__ = ["world_figure"]
@@ -33,13 +33,8 @@ def world_figure(filter: Filter, log: Log, trajectory: int = 0) -> Figure:
     figure, (left, right) = axes_grid(1, 2)
     _paths(left, filter, log)
     errors = measurement_errors(filter, log)
-    sigma = torch.cat(
-        [
-            sensor.noise(filter.prepare()).total.expand(len(sensor.channels))
-            for sensor in filter.sensors
-        ]
-    ).sqrt()
-    one = (errors / sigma)[:, trajectory] if errors.dim() > 2 else errors / sigma
+    one = errors / nominal_sigma(filter, log)
+    one = one[:, trajectory] if one.dim() > 2 else one
     time = log.time if log.time.dim() == 1 else log.time[:, trajectory]
     for at, channel in enumerate(filter.channels):
         right.plot(time, one[:, at], ".", markersize=2.5, label=channel)
