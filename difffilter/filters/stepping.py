@@ -64,7 +64,7 @@ def step(
         memory = {**memory, STREAK: streak}
     if isolated is not None:
         record = record._replace(isolated=isolated)
-    n = linear.deviations.shape[-2]
+    n = len(filter.motion.tangent)
     posterior = conditioned.deviations[..., :n, :]
     if posterior.shape[-1] > n:  # common noise, cubature: static, by the recipe
         posterior = compress(posterior)

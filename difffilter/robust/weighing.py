@@ -37,7 +37,7 @@ def weigh_once(
     weight, gate = _gated(filter, constants, weight, test)
     weight = weight * present
     conditioned = _condition(filter, constants, linear, linear.deviations, linear.observed, weight)
-    prior_weight = torch.ones_like(linear.deviations[..., 0])
+    prior_weight = torch.ones_like(linear.deviations[..., : len(filter.motion.tangent), 0])
     return conditioned, _record(linear, s, weight, prior_weight, gate, present)
 
 
@@ -54,10 +54,10 @@ def reweigh(
     by 1/sqrt(w_x); the shift of identity rows is minus the whitened prior residual, so that
     no system is solved.
     """
-    n = linear.deviations.shape[-2]
+    n = len(filter.motion.tangent)
     weight = present.to(linear.mean.dtype)
     gate = torch.ones_like(weight)
-    prior_weight = torch.ones_like(linear.deviations[..., 0])
+    prior_weight = torch.ones_like(linear.deviations[..., :n, 0])
     s = linear.innovation
     temperature = constants.get("temperature")
     scales = _scales(filter, linear, widening)
@@ -96,7 +96,7 @@ def _residual_rows(filter: Filter, linear: Linearised) -> tuple[Tensor, int]:
     Identity rows: minus the whitened prior residual. With common noise also the rows of
     H X without it: H (x - m), which the measurement's own rows do not tell.
     """
-    n, k = linear.deviations.shape[-2:]
+    n, k = len(filter.motion.tangent), linear.deviations.shape[-1]
     rows = linear.deviations[..., :0, :]
     if filter.weigh_prior:
         unit = torch.eye(n, dtype=rows.dtype, device=rows.device)
