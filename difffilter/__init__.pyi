@@ -51,6 +51,7 @@ from difffilter.errors import RankError as RankError
 from difffilter.export.c99 import export_c as export_c
 from difffilter.filters.filter import Filter as Filter
 from difffilter.filters.fusion import Fusion as Fusion
+from difffilter.filters.recipe import Recipe as Recipe
 from difffilter.filters.stepping import step as step
 from difffilter.logs.family import Family as Family
 from difffilter.logs.family import Member as Member

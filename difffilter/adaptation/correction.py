@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from difffilter.adaptation.matching import BEFORE
-from difffilter.adaptation.passive import Memory, Passive, innovation_variance, jacobian
+from difffilter.adaptation.passive import Memory, Passive, jacobian
 from difffilter.core.linearised import Linearised
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Parameter, Values
@@ -53,7 +53,6 @@ class PredictionCorrection(Passive):
         """The step linearised at the corrected mean, with the noise that it had."""
         d = excess(linearised, present, constants)
         mean = corrected(linearised, d, present, self.axes, memory.get(BEFORE))
-        assert linearised.again is not None
         n = mean.shape[-1]
         deviations = linearised.deviations[..., : linearised.own]
         if linearised.own > n:
@@ -66,7 +65,7 @@ class PredictionCorrection(Passive):
 def excess(linear: Linearised, present: Tensor, constants: Values) -> Tensor:
     """d (..., m): what of each innovation exceeds lambda standard deviations; 0 where missing."""
     size = linear.innovation.abs()
-    bound = constants["correction.lambda"] * innovation_variance(linear).sqrt()
+    bound = constants["correction.lambda"] * linear.innovation_variance.sqrt()
     temperature = constants.get("temperature")
     if temperature is None:
         beyond = (size - bound).clamp_min(0.0)
@@ -87,7 +86,6 @@ def corrected(
     least = 1e-12 * trace + torch.finfo(mean.dtype).tiny
     normal = normal + least[..., None, None] * unit[:axes]
     delta = torch.linalg.solve(normal, (h.mT @ d.unsqueeze(-1)).squeeze(-1))
-    assert linear.dt is not None
     time = linear.dt if streak is None else linear.dt * (streak + 1.0)
     # Without any time passed the velocity has not brought the target there.
     rate = torch.where(time > 0.0, 1.0 / torch.where(time > 0.0, time, 1.0), 0.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from difffilter.adaptation.passive import Memory, Passive, innovation_variance, jacobian
+from difffilter.adaptation.passive import Memory, Passive, jacobian
 from difffilter.core.compression import compress
 from difffilter.core.linalg import square_norms
 from difffilter.core.linearised import Linearised
@@ -73,9 +73,6 @@ class StrongTracking(Passive):
         constants: Values,
     ) -> tuple[Linearised, Memory]:
         """The step linearised with the faded covariance."""
-        assert linearised.moved is not None
-        assert linearised.process is not None
-        assert linearised.again is not None
         e, rho = linearised.innovation, constants["fading.rho"]
         started = memory[STARTED].unsqueeze(-1)
         average = (rho * started * memory[AVERAGE] + e.square()) / (1.0 + rho * started)
@@ -84,7 +81,7 @@ class StrongTracking(Passive):
         w = self.weight(e * noise.rsqrt(), constants, constants.get("temperature"))
         hqh = square_norms(jacobian(linearised, linearised.process))
         above = average - hqh - constants["fading.beta"] * noise / w.clamp_min(1e-12)
-        below = innovation_variance(linearised) - noise - hqh
+        below = linearised.innovation_variance - noise - hqh
         above, below = (torch.where(present, x, 0.0) for x in (above, below))
         root = self.factors(linearised, above, below).sqrt()
         deviations = compress(root.unsqueeze(-1) * linearised.moved, linearised.process)
@@ -109,7 +106,6 @@ class MultipleFading(StrongTracking):
     """
 
     def factors(self, linearised: Linearised, above: Tensor, below: Tensor) -> Tensor:
-        assert linearised.transition is not None
         n = linearised.mean.shape[-1]
         channel = _ratio(above, below)
         unit = torch.eye(n, dtype=channel.dtype, device=channel.device)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from difffilter.adaptation.passive import Memory, Passive, innovation_variance
+from difffilter.adaptation.passive import Memory, Passive
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Interval, Positive
@@ -89,7 +89,7 @@ class InnovationMatching(Passive):
         constants: Values,
     ) -> tuple[Linearised, Memory]:
         """R raised where the row is flagged; the history goes on."""
-        variance = innovation_variance(linearised)
+        variance = linearised.innovation_variance
         square = linearised.innovation.square()
         # Before the first rows the history is the theoretical variance of now.
         ring = torch.where(torch.isnan(memory[RING]), variance.unsqueeze(-2), memory[RING])

@@ -10,11 +10,10 @@ from torch import Tensor
 
 from difffilter.core.cubature import halves
 from difffilter.core.equations import Conditioned
-from difffilter.core.linalg import square_norms
 from difffilter.core.linearised import Linearised
 from difffilter.parameters.parameters import Parameter, Values
 
-__all__ = ["Memory", "Passive", "innovation_variance", "jacobian"]
+__all__ = ["Memory", "Passive", "jacobian"]
 
 Memory = Mapping[str, Tensor]
 
@@ -60,11 +59,6 @@ class Passive:
     ) -> Memory:
         """The memory, as it is."""
         return memory
-
-
-def innovation_variance(linear: Linearised) -> Tensor:
-    """(..., m), diagonal of P_zz = H P H^T + R."""
-    return square_norms(linear.observed) + linear.independent
 
 
 def jacobian(linear: Linearised, right: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from difffilter.core.innovation import innovation_variance
 from difffilter.core.linalg import semidefinite_cholesky
 from difffilter.errors import InputError
 
@@ -77,7 +78,7 @@ class Record(NamedTuple):
     @property
     def innovation_variance(self) -> Tensor:
         """(..., m), nominal variance S_ii of each innovation."""
-        return self.observed.square().sum(-1) + self.noise
+        return innovation_variance(self.observed, self.noise)
 
     @property
     def nis(self) -> Tensor:

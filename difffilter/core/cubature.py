@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-__all__ = ["halves", "moments", "points"]
+__all__ = ["doubled", "halves", "moments", "points"]
 
 
 def points(mean: Tensor, deviations: Tensor) -> Tensor:
@@ -34,3 +34,8 @@ def halves(columns: Tensor, n: int) -> Tensor:
         return columns
     difference = columns[..., :n] - columns[..., n : 2 * n]
     return difference / math.sqrt(2.0)
+
+
+def doubled(columns: Tensor) -> Tensor:
+    """[X, -X] / sqrt(2): the 2n cubature columns (..., m, 2n) of a linear part X (..., m, n)."""
+    return torch.cat([columns, -columns], dim=-1) * math.sqrt(0.5)

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from difffilter.core.innovation import innovation_variance
+
 __all__ = ["Linearised"]
 
 
@@ -32,14 +34,24 @@ class Linearised(NamedTuple):
     observed: Tensor
     independent: Tensor
     total: Tensor
-    common: int = 0
-    moved: Tensor | None = None
-    process: Tensor | None = None
-    transition: Callable[[Tensor], Tensor] | None = None
-    dt: Tensor | None = None
-    again: Callable[[Tensor, Tensor], Linearised] | None = None
+    common: int
+    moved: Tensor
+    process: Tensor
+    transition: Callable[[Tensor], Tensor]
+    dt: Tensor
+    again: Callable[[Tensor, Tensor], Linearised]
 
     @property
     def own(self) -> int:
         """How many of the first columns are the state's: n, or 2n with cubature."""
         return self.deviations.shape[-1] - self.common
+
+    @property
+    def innovation_variance(self) -> Tensor:
+        """(..., m), nominal variance S_ii of each innovation."""
+        return innovation_variance(self.observed, self.independent)
+
+    @property
+    def size(self) -> int:
+        """n, of the state's deviations; an adaptation may have stacked rows below them."""
+        return self.process.shape[-2]

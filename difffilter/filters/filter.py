@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,26 +11,19 @@ import torch
 from torch import Tensor
 
 from difffilter.adaptation.protocol import Adaptation
-from difffilter.core.beliefs import Belief
+from difffilter.core.beliefs import Belief, Measurement, Record
+from difffilter.core.compression import compress
 from difffilter.errors import InputError
-from difffilter.motions.blocks import Motion
-from difffilter.parameters.constraints import Interval, Positive
-from difffilter.parameters.parameters import (
-    Number,
-    Parameter,
-    Values,
-    as_number,
-    check_values,
-    declare,
-    published_values,
-)
+from difffilter.filters.prediction import linearise, predict
+from difffilter.filters.recipe import RULES, Modelled, check_independent
+from difffilter.motions.retraction import moved
+from difffilter.parameters.parameters import Parameter, Values
 from difffilter.robust.federation import Federation
 from difffilter.robust.gate import Gate
-from difffilter.robust.groups import DISTANCES, Scope, channel_groups
-from difffilter.robust.recovery import Recovery
-from difffilter.sensors.information import common_noise
-from difffilter.sensors.sensor import Sensor
-from difffilter.sensors.stations import StationSensor
+from difffilter.robust.groups import Scope, channel_groups
+from difffilter.robust.isolation import isolated
+from difffilter.robust.recovery import STREAK, Recovery
+from difffilter.robust.weighing import STANDARDISATIONS, Weighing
 from difffilter.weights.registry import Weight, plain
 
 if TYPE_CHECKING:
@@ -38,12 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["RULES", "STANDARDISATIONS", "Filter"]
 
-STANDARDISATIONS = ("innovation", "noise")
-RULES = ("taylor", "cubature")
-
 
 @dataclass(frozen=True)
-class Filter:
+class Filter(Modelled):
     """One recursive filter: the recipe. Values of its parameters come from outside.
 
     Attributes:
@@ -70,9 +60,10 @@ class Filter:
         gate: chi-square gate on each group's nominal NIS, or None.
         recovery: from lock-out by gate or weights, or None.
         federated: local filters, one for each sensor, fused and reset at every step
-            (see :mod:`difffilter.robust.federation`); the same estimates, and a sensor that is not
-            finite is isolated.
+            (see :mod:`difffilter.robust.federation`); the same estimates.
         shares: information shares of the local filters; equal if empty.
+        isolate: whether a sensor with anything that is not finite is left out of the row
+            (see :mod:`difffilter.robust.isolation`); None for: where ``federated``.
         adaptation: plug-in between predict and condition, or None.
         clairvoyant: told of every fault: the log's inputs ``fault.mean`` and
             ``fault.variance`` (..., m) are taken off the measurement and added to R; an
@@ -96,8 +87,6 @@ class Filter:
         ['motion.acceleration', 'tanh.ab', 'tdoa.bias', 'tdoa.sigma']
     """
 
-    motion: Motion
-    sensors: tuple[Sensor, ...]
     weight: Weight = plain
     standardise: str | None = None
     iterations: int = 0
@@ -112,21 +101,12 @@ class Filter:
     adaptation: Adaptation | None = None
     clairvoyant: bool = False
     fusion: Fusion | None = None
-    linearise: str = "taylor"
-    start_sigma: Number | None = None
-    overrides: Mapping[str, Parameter] = field(default_factory=dict)
+    isolate: bool | None = None
 
     def __post_init__(self) -> None:
         if self.standardise is None:
             default = "noise" if self.iterations else "innovation"
             object.__setattr__(self, "standardise", default)
-        if self.standardise not in STANDARDISATIONS:
-            expected = " or ".join(STANDARDISATIONS)
-            raise InputError(f"standardise: found {self.standardise!r}, expected {expected}")
-        if self.iterations < 0:
-            raise InputError(f"iterations: found {self.iterations}, expected 0 or more")
-        if (self.weigh_prior or self.mad) and not self.iterations:
-            raise InputError("weigh_prior and mad: expected iterations of 1 or more with them")
         if self.fusion is not None:
             self.fusion.check(self.sensors)
             beside = (
@@ -138,46 +118,31 @@ class Filter:
                 raise InputError(
                     "fusion: expected no weight, scope, gate, recovery or adaptation with it"
                 )
-        if self.linearise not in RULES:
-            raise InputError(f"linearise: found {self.linearise!r}, expected {' or '.join(RULES)}")
-        if self.distance not in DISTANCES:
-            expected = " or ".join(DISTANCES)
-            raise InputError(f"distance: found {self.distance!r}, expected {expected}")
         if self.shares and not self.federated:
             raise InputError("shares: expected federated with them")
-        _ = self.federation  # checked when the filter is made
+        _ = self.weighing  # checked when the filter is made
         inflating = self.recovery is not None and self.recovery.action == "inflate"
         if inflating and self.standardise == "noise" and not self.iterations:
             # A larger P moves no weight then: it would grow for ever.
             raise InputError("recovery inflate: expected standardise innovation, or iterations")
-        grouped = self.grouped  # checked when the filter is made
-        if self.mad and grouped is not None:
-            raise InputError("mad: expected scope channel with it")
         if getattr(self.adaptation, "independent_noise", False):
-            for sensor in self.sensors:
-                if common_noise(sensor):
-                    raise InputError(
-                        f"adaptation: found noise common to channels of {sensor.channels[0]}, "
-                        "expected independent noise"
-                    )
-        names = self.channels
-        if len(set(names)) != len(names):
-            raise InputError(f"channels: found a name twice in {', '.join(names)}")
-        unknown = set(self.overrides) - set(self._own)
-        if unknown:
-            raise InputError(
-                f"{min(unknown)}: no such parameter, expected one of {', '.join(self._own)}"
-            )
+            check_independent(self.sensors, "adaptation")
+        super().__post_init__()
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the n states, the position first."""
-        return self.motion.states
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the m channels, in the order of ``Measurement.z``."""
-        return tuple(name for sensor in self.sensors for name in sensor.channels)
+    @cached_property
+    def weighing(self) -> Weighing:
+        """What weights the channels get, and how the belief is conditioned with them."""
+        return Weighing(
+            weight=self.weight,
+            standardise=self.standardise or "innovation",
+            iterations=self.iterations,
+            weigh_prior=self.weigh_prior,
+            mad=self.mad,
+            groups=self.grouped,
+            distance=self.distance,
+            gate=self.gate,
+            federation=self.federation,
+        )
 
     @cached_property
     def federation(self) -> Federation | None:
@@ -188,7 +153,7 @@ class Filter:
         shares = self.shares or (1.0 / count,) * count
         if len(shares) != count:
             raise InputError(f"shares: found {len(shares)}, expected {count}, one for each sensor")
-        return Federation(tuple(shares))
+        return Federation(tuple(shares), self.members)
 
     @property
     def centralised(self) -> Filter:
@@ -213,87 +178,18 @@ class Filter:
         groups = channel_groups(self.scope, self.channels, per_sensor)
         return groups if any(len(group) > 1 for group in groups) else None
 
-    @cached_property
-    def _own(self) -> dict[str, Parameter]:
-        parts = [
-            self.motion, *self.sensors, self.weight, self.gate, self.recovery, self.adaptation,
-            self.fusion,
-        ]  # fmt: skip
-        own = [p for part in parts if part is not None for p in part.parameters]
-        if self.weigh_prior:
-            meaning = "least weight of a prior row"
-            own.append(
-                Parameter("prior.floor", 1e-4, Interval(), source="paper 3", meaning=meaning)
-            )
-        if self.start_sigma is not None:
-            sigma, meaning = as_number(self.start_sigma), "initial standard deviation"
-            shape = torch.tensor(sigma).shape
-            if shape not in ((), (len(self.states),)):
-                raise InputError(
-                    f"start.sigma: found shape {list(shape)}, expected one number or "
-                    f"{len(self.states)} numbers"
-                )
-            known = sigma if isinstance(sigma, tuple) else ()
-            own.append(
-                Parameter(
-                    "start.sigma",
-                    sigma,
-                    Positive(tuple(i for i, entry in enumerate(known) if entry == 0.0)),
-                    "m, m/s",
-                    labels=self.states if isinstance(sigma, tuple) else (),
-                    meaning=meaning,
-                )
-            )
-        return declare(own)
+    @property
+    def _more_parameters(self) -> tuple[Parameter, ...]:
+        parts = (self.weight, self.gate, self.recovery, self.adaptation, self.fusion)
+        own = tuple(p for part in parts if part is not None for p in part.parameters)
+        return (*own, *self.weighing.floor)
 
-    @cached_property
-    def declarations(self) -> dict[str, Parameter]:
-        """Every parameter of the filter, by name."""
-        return declare((self._own | dict(self.overrides)).values())
-
-    def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
-        """The declared values by name, in the units that their declarations name."""
-        return published_values(self.declarations, dtype)
-
-    def with_values(self, values: Values) -> Filter:
-        """The same recipe with other declared values; InputError if one does not fit."""
-        changed = {
-            name: replace(self.declarations[name], value=as_number(value))
-            for name, value in check_values(self.declarations, values).items()
-        }
-        return replace(self, overrides=dict(self.overrides) | changed)
-
-    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Values:
-        """Constants of a run from physical values (the declared ones where missing).
-
-        Args:
-            values: by parameter name, differentiable.
-            temperature: of the soft weights and gates, for training; None for the hard,
-                published forms.
-
-        Raises:
-            InputError: an unknown name, a wrong shape or an inadmissible value.
-        """
-        given = check_values(self.declarations, values)
-        dtype = next(iter(given.values())).dtype if given else torch.float64
-        complete = self.published(dtype) | given
-        constants = dict(complete)
-        parts: tuple[Motion | Sensor | Weight, ...] = (self.motion, *self.sensors, self.weight)
-        for part in parts:
-            constants.update(part.prepare(complete))
-        if self.gate is not None:
-            constants.update(self.gate.prepare(complete, max(map(len, self.grouped or ((0,),)))))
-        if self.federation is not None:
-            constants.update(self.federation.prepare(self.members, dtype))
-        if temperature is not None:
-            constants["temperature"] = torch.tensor(temperature, dtype=dtype)
-        return constants
+    def _more_constants(self, values: Values) -> dict[str, Tensor]:
+        return self.weighing.prepare(values)
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input is missing: a platform, or what is foretold."""
-        for sensor in self.sensors:
-            if isinstance(sensor, StationSensor):
-                sensor.check_inputs(inputs)
+        super().check_inputs(inputs)
         foretold = ["fault.mean", "fault.variance"] if self.clairvoyant else []
         if getattr(self.adaptation, "ideal", False):
             foretold += ["ideal.variance", "ideal.error", "ideal.process"]
@@ -312,3 +208,39 @@ class Filter:
         if self.fusion is not None:
             memory = memory | self.fusion.start(self, mean, deviations)
         return Belief(mean, deviations, memory)
+
+    def step(
+        self, constants: Values, belief: Belief, measurement: Measurement
+    ) -> tuple[Belief, Record]:
+        """Predict to the measurement's time, linearise, weigh, condition."""
+        if self.fusion is not None:
+            return self.fusion.step(self, constants, belief, measurement)
+        predicted = predict(self, constants, belief, measurement, self.adaptation)
+        linear, present = linearise(self, constants, predicted, measurement, self.clairvoyant)
+        left_out = None
+        if self.federated if self.isolate is None else self.isolate:
+            linear, present, left_out = isolated(self.members, linear, present)
+        memory, widening = belief.memory, None
+        if self.adaptation is not None:
+            linear, memory = self.adaptation.before_condition(
+                memory, linear, present, measurement.inputs, constants
+            )
+        if self.recovery is not None:
+            streak = torch.where(present.any(-1), belief.memory[STREAK], 0.0)
+            linear, widening = self.recovery.applied(streak, linear, constants)
+        conditioned, record = self.weighing.condition(constants, linear, present, widening)
+        if self.adaptation is not None:
+            memory = self.adaptation.after_condition(
+                memory, linear, conditioned, record.weight, present, constants
+            )
+        if self.recovery is not None:
+            streak = self.recovery.count(belief.memory[STREAK], record.weight, present)
+            memory = {**memory, STREAK: streak}
+        if left_out is not None:
+            record = record._replace(isolated=left_out)
+        n = linear.size
+        posterior = conditioned.deviations[..., :n, :]
+        if posterior.shape[-1] > n:  # common noise, cubature: static, by the recipe
+            posterior = compress(posterior)
+        mean, posterior = moved(self.motion, linear.mean, conditioned.shift[..., :n], posterior)
+        return Belief(mean, posterior, memory), record

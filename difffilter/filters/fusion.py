@@ -15,7 +15,7 @@ from difffilter.adaptation.matching import FLAG, MATCHED, InnovationMatching
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.core.compression import compress
 from difffilter.core.conditioning import condition
-from difffilter.core.linalg import square_norms
+from difffilter.core.innovation import innovation_variance
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.parameters import Parameter, Values
@@ -179,7 +179,7 @@ class Fusion:
         noise = torch.cat([linear.independent for linear in prior], dim=-1)
         here = torch.cat(present, dim=-1)
         weight = torch.cat(information, dim=-1) * noise
-        variance = square_norms(observed) + noise
+        variance = innovation_variance(observed, noise)
         record = Record(
             innovation=innovation,
             observed=observed,
@@ -212,7 +212,6 @@ def _again(linear: Linearised, mean: Tensor) -> Linearised:
 
 
 def _at(linear: Linearised, mean: Tensor, deviations: Tensor) -> Linearised:
-    assert linear.again is not None
     return linear.again(mean, deviations)
 
 
@@ -238,7 +237,7 @@ def _moved(d: Tensor, linear: Linearised, constants: Values) -> Tensor:
     temperature = constants.get("temperature")
     if temperature is None:
         return (size > 0.0).to(size.dtype)
-    bound = (linear.observed.square().sum(-1) + linear.independent).sqrt().amin(-1)
+    bound = linear.innovation_variance.sqrt().amin(-1)
     scaled = size / (temperature * bound)
     return scaled / (1.0 + scaled)
 

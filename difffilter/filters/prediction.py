@@ -6,19 +6,20 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import torch
+from diffrecipe.motions.protocol import Motion
+from diffrecipe.motions.retraction import cloud, lifted, moved
+from diffrecipe.sensors.information import block_diagonal
+from diffrecipe.sensors.sensor import Sensor
 from torch import Tensor
 
+from difffilter.adaptation.protocol import Adaptation
 from difffilter.core.beliefs import Belief, Measurement
 from difffilter.core.compression import compress
-from difffilter.core.cubature import moments
+from difffilter.core.cubature import doubled, moments
 from difffilter.core.linalg import join
 from difffilter.core.linearised import Linearised
-from difffilter.filters.filter import Filter
-from difffilter.motions.protocol import Motion
-from difffilter.motions.retraction import cloud, lifted, moved
+from difffilter.filters.recipe import Modelled
 from difffilter.parameters.parameters import Values
-from difffilter.sensors.information import block_diagonal
-from difffilter.sensors.sensor import Sensor
 
 __all__ = ["Predicted", "linearise", "predict"]
 
@@ -34,21 +35,25 @@ class Predicted(NamedTuple):
 
 
 def predict(
-    filter: Filter, constants: Values, belief: Belief, measurement: Measurement
+    recipe: Modelled,
+    constants: Values,
+    belief: Belief,
+    measurement: Measurement,
+    adaptation: Adaptation | None = None,
 ) -> Predicted:
     """Mean f(m) and deviations compress([F X, G L_Q]) at the measurement's time.
 
     With cubature and a motion that is not linear: mean and deviations of the moved points.
     """
-    motion, dt, inputs = filter.motion, measurement.dt, measurement.inputs
-    if filter.linearise == "cubature" and not motion.linear:
+    motion, dt, inputs = recipe.motion, measurement.dt, measurement.inputs
+    if recipe.linearise == "cubature" and not motion.linear:
         mean, ahead = _moved_points(motion, belief, dt, inputs, constants)
     else:
         mean = motion.transition(belief.mean, dt, inputs, constants)
         ahead = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
     process = motion.noise(belief.mean, dt, inputs, constants)
-    if filter.adaptation is not None:
-        process = filter.adaptation.before_predict(belief.memory, process, inputs, constants)
+    if adaptation is not None:
+        process = adaptation.before_predict(belief.memory, process, inputs, constants)
 
     def transition(columns: Tensor) -> Tensor:
         return motion.propagate(belief.mean, columns, dt, inputs, constants)
@@ -70,60 +75,61 @@ def _moved_points(
 
 
 def linearise(
-    filter: Filter, constants: Values, predicted: Predicted, measurement: Measurement
+    recipe: Modelled,
+    constants: Values,
+    predicted: Predicted,
+    measurement: Measurement,
+    foretold: bool = False,
 ) -> tuple[Linearised, Tensor]:
-    """Innovation and deviations of all channels, and which are present."""
+    """Innovation and deviations of all channels, and which are present.
+
+    ``foretold``: whether faults are told by the inputs (see ``clairvoyant`` of a filter).
+    """
     present = ~torch.isnan(measurement.z)
 
     def again(mean: Tensor, deviations: Tensor) -> Linearised:
-        linear, _ = _linearise(filter, constants, mean, deviations, measurement, present)
-        return linear._replace(
-            moved=predicted.moved,
-            process=predicted.process,
-            transition=predicted.transition,
-            dt=measurement.dt,
-            again=again,
-        )
+        here = predicted._replace(mean=mean, deviations=deviations)
+        return _linearise(recipe, constants, here, measurement, present, again, foretold)
 
-    linear = again(predicted.mean, predicted.deviations)
-    if filter.clairvoyant:
+    if foretold:
         present = present & torch.isfinite(measurement.inputs["fault.variance"])
-    return linear, present
+    return again(predicted.mean, predicted.deviations), present
 
 
 def _linearise(
-    filter: Filter,
+    recipe: Modelled,
     constants: Values,
-    mean: Tensor,
-    deviations: Tensor,
+    predicted: Predicted,
     measurement: Measurement,
     present: Tensor,
-) -> tuple[Linearised, Tensor]:
+    again: Callable[[Tensor, Tensor], Linearised],
+    foretold: bool,
+) -> Linearised:
     """Innovation and deviations of all sensors' channels, noise common to channels included."""
-    inputs = measurement.inputs
-    cubature = filter.linearise == "cubature"
-    motion = filter.motion
+    inputs, mean, deviations = measurement.inputs, predicted.mean, predicted.deviations
+    cubature = recipe.linearise == "cubature"
+    motion = recipe.motion
     points = cloud(motion, mean, deviations) if cubature else mean
     columns = deviations if cubature else lifted(motion, mean, deviations)
     innovations, observed, independent, total, common = [], [], [], [], []
     at = 0
-    for sensor in filter.sensors:
+    for sensor in recipe.sensors:
         here = slice(at, at := at + len(sensor.channels))
         if cubature:
-            predicted, z_deviations = _at_points(sensor, mean, points, inputs, constants)
+            value, z_deviations = _at_points(sensor, mean, points, inputs, constants)
         else:
-            predicted, z_deviations = sensor.observe(mean, columns, inputs, constants)
-        z = torch.where(present[..., here], measurement.z[..., here], predicted)
+            value, z_deviations = sensor.observe(mean, columns, inputs, constants)
+        z = torch.where(present[..., here], measurement.z[..., here], value)
         noise = sensor.noise(mean, inputs, constants)
-        innovations.append(sensor.residual(z, predicted))
+        innovations.append(sensor.residual(z, value))
         observed.append(z_deviations)
-        independent.append(noise.independent.expand_as(predicted))
-        total.append(noise.total.expand_as(predicted))
+        independent.append(noise.independent.expand_as(value))
+        total.append(noise.total.expand_as(value))
         common.append(noise.common)
     if cubature:
-        deviations = torch.cat([deviations, -deviations], dim=-1) * 0.5**0.5
+        deviations = doubled(deviations)
     innovation, r, r_total = (_join(parts, -1, 1) for parts in (innovations, independent, total))
-    if filter.clairvoyant:
+    if foretold:
         variance = inputs["fault.variance"]
         known = torch.isfinite(variance)
         present = present & known
@@ -137,7 +143,20 @@ def _linearise(
         shared = shared.expand(*mean.shape[:-1], -1, -1)
         z_deviations = torch.cat([z_deviations, shared], dim=-1)
         deviations = torch.nn.functional.pad(deviations, (0, count))
-    return Linearised(mean, deviations, innovation, z_deviations, r, r_total, count), present
+    return Linearised(
+        mean=mean,
+        deviations=deviations,
+        innovation=innovation,
+        observed=z_deviations,
+        independent=r,
+        total=r_total,
+        common=count,
+        moved=predicted.moved,
+        process=predicted.process,
+        transition=predicted.transition,
+        dt=measurement.dt,
+        again=again,
+    )
 
 
 def _at_points(

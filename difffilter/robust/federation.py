@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -39,12 +38,14 @@ class Federation:
 
     Attributes:
         shares: beta_i, one for each system.
+        members: indices of the channels of each system.
 
     Raises:
         InputError: fewer than two shares, one that is not above 0, a sum that is not 1.
     """
 
     shares: tuple[float, ...]
+    members: tuple[tuple[int, ...], ...] = ()
 
     def __post_init__(self) -> None:
         positive = all(share > 0.0 for share in self.shares)  # False for NaN
@@ -58,11 +59,11 @@ class Federation:
         """How many local filters."""
         return len(self.shares)
 
-    def prepare(self, members: Sequence[Sequence[int]], dtype: torch.dtype) -> dict[str, Tensor]:
+    def prepare(self, dtype: torch.dtype) -> dict[str, Tensor]:
         """``federation.root`` (N,), 1 / sqrt(beta), and ``federation.member`` (N, m): 1 where a
         channel belongs to a system."""
-        member = torch.zeros(self.systems, sum(map(len, members)), dtype=dtype)
-        for i, system in enumerate(members):
+        member = torch.zeros(self.systems, sum(map(len, self.members)), dtype=dtype)
+        for i, system in enumerate(self.members):
             member[i, [*system]] = 1.0
         root = torch.tensor(self.shares, dtype=dtype).rsqrt()
         return {"federation.root": root, "federation.member": member}

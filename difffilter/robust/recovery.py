@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Above, Positive
 from difffilter.parameters.parameters import Parameter, Values
@@ -82,6 +83,20 @@ class Recovery:
             exponent = exponent - above(beyond - 1.0)
         growth: Tensor = constants["recovery.factor"] ** exponent
         return growth
+
+    def applied(
+        self, streak: Tensor, linear: Linearised, constants: Values
+    ) -> tuple[Linearised, Tensor | None]:
+        """The predicted covariance grown, or the factor by which gate and weights are widened."""
+        growth = self.growth(streak, constants)
+        if self.action == "widen":
+            return linear, growth
+        columns = growth.sqrt().unsqueeze(-1).expand(*growth.shape, linear.own)
+        columns = torch.nn.functional.pad(columns, (0, linear.common), value=1.0).unsqueeze(-2)
+        grown = linear._replace(
+            deviations=linear.deviations * columns, observed=linear.observed * columns
+        )
+        return grown, None
 
     def count(self, streak: Tensor, weight: Tensor, present: Tensor) -> Tensor:
         """The count after a row with these weights and present channels (..., m)."""

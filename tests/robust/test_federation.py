@@ -74,8 +74,8 @@ def test_everything_about_an_update_is_the_central_one(
     weight = tensor(rng.uniform(0.1, 1, (5, 3)))
     weight[2, 1] = 0.0
     expected = condition(rows, observed, innovation, weight, noise)
-    federation = Federation(random_shares(rng, len(systems)))
-    constants = federation.prepare(systems, torch.float64)
+    federation = Federation(random_shares(rng, len(systems)), tuple(map(tuple, systems)))
+    constants = federation.prepare(torch.float64)
     found = federation.condition(rows, observed, innovation, weight, noise, constants)
     assert_close(found.shift, expected.shift, 1e-11)
     assert_close(found.residual, expected.residual, 1e-11)
