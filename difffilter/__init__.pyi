@@ -7,7 +7,6 @@ from difffilter.adaptation import PredictionCorrection as PredictionCorrection
 from difffilter.adaptation import StrongTracking as StrongTracking
 from difffilter.adaptation.credibility import Credibility as Credibility
 from difffilter.adaptation.passive import Passive as Passive
-from difffilter.adaptation.passive import innovation_variance as innovation_variance
 from difffilter.adaptation.protocol import Adaptation as Adaptation
 from difffilter.adaptation.registry import ADAPTATIONS as ADAPTATIONS
 from difffilter.adaptation.registry import Host as Host
