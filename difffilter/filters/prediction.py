@@ -6,10 +6,6 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import torch
-from diffrecipe.motions.protocol import Motion
-from diffrecipe.motions.retraction import cloud, lifted, moved
-from diffrecipe.sensors.information import block_diagonal
-from diffrecipe.sensors.sensor import Sensor
 from torch import Tensor
 
 from difffilter.adaptation.protocol import Adaptation
@@ -19,7 +15,11 @@ from difffilter.core.cubature import doubled, moments
 from difffilter.core.linalg import join
 from difffilter.core.linearised import Linearised
 from difffilter.filters.recipe import Modelled
+from difffilter.motions.protocol import Motion
+from difffilter.motions.retraction import cloud, lifted, moved
 from difffilter.parameters.parameters import Values
+from difffilter.sensors.information import block_diagonal
+from difffilter.sensors.sensor import Sensor
 
 __all__ = ["Predicted", "linearise", "predict"]
 
