@@ -1,17 +1,16 @@
-"""Compile C to a shared object, cached on disk under source, compiler and flags."""
+"""Compile C to a shared object, cached under source, compiler and flags."""
 
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import os
 import platform
 import shutil
 import subprocess
-import tempfile
 from functools import lru_cache
 from pathlib import Path
 
+from difffilter.engine.cache import cache_folder, entry, folders, store, workshop
 from difffilter.errors import EngineError
 
 __all__ = ["build", "cache_folder", "compiler"]
@@ -36,30 +35,36 @@ def compiler() -> str | None:
     return os.environ.get("DIFFFILTER_CC") or shutil.which("cc") or shutil.which("gcc")
 
 
-def cache_folder() -> Path:
-    """``DIFFFILTER_CACHE``, else a folder in the user's cache."""
-    named = os.environ.get("DIFFFILTER_CACHE")
-    if named:
-        return Path(named)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "difffilter"
-
-
 @lru_cache(maxsize=64)
 def build(source: str) -> ctypes.CDLL:
-    """The compiled library; from the cache where it is there.
+    """The compiled library; from the cache where it is there and whole.
 
     Raises:
-        EngineError: no compiler, or one that fails (its first line of complaint).
+        EngineError: no compiler, or one that fails (its first line of complaint); no folder
+            that a library can be loaded from.
     """
     cc = compiler()
     if cc is None:
         raise EngineError("engine: found no C compiler, expected cc or gcc (or DIFFFILTER_CC)")
     key = "\n".join([source, cc, *_flags(source), platform.platform(), _processor()])
-    path = cache_folder() / f"{hashlib.sha256(key.encode()).hexdigest()[:32]}.so"
-    if not path.is_file():
-        _compile(cc, source, path)
-    return ctypes.CDLL(str(path))
+    complaint = "no folder"
+    try:
+        for folder in folders():
+            try:
+                return _load(entry(folder, key) or _compile(cc, source, folder, key))
+            except OSError as error:  # read-only, full, or nothing may be run from there
+                complaint = str(error)
+    except OSError as error:
+        complaint = str(error)
+    raise EngineError(f"engine: found no folder to compile in ({complaint})")
+
+
+def _load(path: Path) -> ctypes.CDLL:
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError:
+        path.unlink(missing_ok=True)  # not to be met again
+        raise
 
 
 def _processor() -> str:
@@ -72,14 +77,21 @@ def _processor() -> str:
     return "\n".join(sorted(set(kept))) or platform.processor()
 
 
-def _compile(cc: str, source: str, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-        code, made = Path(folder) / "step.c", Path(folder) / "step.so"
+def _compile(cc: str, source: str, folder: Path, key: str) -> Path:
+    with workshop(folder) as inside:
+        code, made = Path(inside) / "step.c", Path(inside) / "step.so"
         code.write_text(source, encoding="utf-8")
         command = [cc, *_flags(source), str(code), "-o", str(made), "-lm"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        try:
+            done = subprocess.run(command, capture_output=True, check=False)
+        except OSError as error:
+            raise EngineError(f"engine: {cc} failed: {error.strerror or error}") from None
+        said = done.stderr.decode("utf-8", "replace").strip()
+        if done.returncode and "No space left" in said:
+            raise OSError(said.splitlines()[0])
         if done.returncode:
-            complaint = (done.stderr.strip() or "no message").splitlines()[0]
-            raise EngineError(f"engine: {cc} failed: {complaint}")
-        os.replace(made, path)  # atomic: another process sees all of it or nothing
+            complaint = said.splitlines()[0] if said else f"exit code {done.returncode}"
+            raise EngineError(f"engine: {cc} failed: {complaint:.200}")
+        if not made.is_file() or not made.stat().st_size:
+            raise EngineError(f"engine: {cc} failed: it wrote no library")
+        return store(folder, key, made)

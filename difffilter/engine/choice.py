@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable
 from typing import TypeVar
 
 from difffilter.engine.build import compiler
+from difffilter.engine.notice import tell
 from difffilter.errors import EngineError, InputError
 from difffilter.logs.log import Rows
 
-__all__ = ["ENGINES", "eager_seconds", "pick", "with_engine"]
+__all__ = ["ENGINES", "eager_seconds", "pick", "tell", "with_engine"]
 
 ENGINES = ("auto", "torch", "fused")
 #: s of torch's time from which ``auto`` compiles.
 ENOUGH = 0.5
 
 Result = TypeVar("Result")
-_told: set[str] = set()
 
 
 def eager_seconds(log: Rows, iterations: int = 0) -> float:
@@ -63,10 +62,3 @@ def with_engine(
             raise
         tell(error)
         return plain()
-
-
-def tell(error: EngineError) -> None:
-    """Warn, once for each reason, that torch runs instead."""
-    if str(error) not in _told:
-        _told.add(str(error))
-        warnings.warn(f"{error}; torch runs instead, slower", stacklevel=3)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from difffilter.engine.derivative import tangent
-from difffilter.engine.functions import INLINE
+from difffilter.engine.functions import CALLS
 from difffilter.engine.program import Program
 from difffilter.engine.schedule import Schedule, active_nodes, schedule
+from difffilter.engine.text import expression, is_number, number
 
-__all__ = ["Step", "expression", "number"]
+__all__ = ["Step"]
 
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-_COMPARE = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
-_CALL = ("sqrt", "sin", "cos", "floor", "atan2")
 _LOOP = "    for (int l = 0; l < W; l++) {"
 _SIMD = "#pragma omp simd\n" + _LOOP
 
@@ -153,7 +151,7 @@ class Step:
         return lines
 
     def _simple(self, segment: Sequence[int]) -> bool:
-        return all(self.program.nodes[n][0] not in ("sin", "cos", "atan2") for n in segment)
+        return all(self.program.nodes[n][0] not in CALLS for n in segment)
 
     def _value(self, node: int, segment: int) -> str:
         """The value of a node, read from a segment (-1: setup)."""
@@ -196,59 +194,10 @@ class Step:
         def simple(text: str) -> str:
             # Numbers and what stands in memory anyway need no copy.
             there = text.endswith("]") and " " not in text and text[0] != "-"
-            return text if there or _is_number(text) else keep(text)
+            return text if there or is_number(text) else keep(text)
 
         inverse = self.program.reciprocal(node)
         beside = inverse is not None and self.plan.home.get(inverse, -3) == segment
         return tangent(
             op, node, args, value, simple, moved, value(inverse) if inverse and beside else None
         )
-
-
-def expression(op: str, args: list[str]) -> str:
-    """An operation as C."""
-    if op in _INFIX:
-        return f"{args[0]} {_INFIX[op]} {args[1]}"
-    if op in _COMPARE:
-        return f"{args[0]} {_COMPARE[op]} {args[1]} ? 1.0 : 0.0"
-    if op in INLINE:
-        return f"{INLINE[op]}({args[0]})"
-    if op in _CALL:
-        return f"{op}({', '.join(args)})"
-    if op == "neg":
-        return f"-{args[0]}" if not args[0].startswith("-") else f"-({args[0]})"
-    if op == "abs":
-        return f"fabs({args[0]})"
-    if op == "select":
-        return f"{args[0]} != 0.0 ? {args[1]} : {args[2]}"
-    if op == "and":
-        return f"{args[0]} * {args[1]}"
-    if op == "or":
-        return f"{args[0]} + {args[1]} != 0.0 ? 1.0 : 0.0"
-    if op == "not":
-        return f"{args[0]} != 0.0 ? 0.0 : 1.0"
-    if op == "isnan":
-        return f"{args[0]} != {args[0]} ? 1.0 : 0.0"
-    a, b = args
-    sign = "<" if op == "min" else ">"
-    # NaN goes on, as in torch.
-    return f"({a} {sign} {b} || {a} != {a}) ? {a} : {b}"
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text.strip("()"))
-    except ValueError:
-        return False
-    return True
-
-
-def number(value: float | None) -> str:
-    """A number as C, to the last digit."""
-    assert value is not None
-    if value != value:
-        return "NAN"
-    if value in (float("inf"), float("-inf")):
-        return "INFINITY" if value > 0 else "(-INFINITY)"
-    text = repr(float(value))
-    return text if value >= 0 and not text.startswith("-") else f"({text})"

@@ -3,10 +3,51 @@
 Calls into libm would stop it. Rational approximations: S. L. Moshier, Cephes.
 """
 
-__all__ = ["FUNCTIONS", "INLINE"]
+__all__ = ["CALLS", "FUNCTIONS", "INLINE", "power", "whole"]
 
-#: Operation -> name of the C function; other calls go to libm.
-INLINE = {"exp": "x_exp", "log": "x_log", "log1p": "x_log1p", "tanh": "x_tanh"}
+#: Operation -> name of the C function.
+INLINE = {
+    "exp": "x_exp", "log": "x_log", "log1p": "x_log1p", "tanh": "x_tanh", "hypot": "x_hypot",
+    "pow": "x_pow",
+}  # fmt: skip
+#: Operations that call libm, by the same name: no compiler turns them into vector code.
+CALLS = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "asinh", "acosh",
+    "atanh", "erf", "erfc", "expm1",
+)  # fmt: skip
+#: Whole exponents up to which a power is a product.
+MOST = 16
+
+
+def whole(text: str) -> int | None:
+    """The small whole exponent that a text is, or None."""
+    try:
+        value = float(text.strip("()"))
+    except ValueError:
+        return None
+    return int(value) if value == int(value) and abs(value) <= MOST else None
+
+
+def power(base: str, exponent: int) -> str:
+    """A whole power as C."""
+    if exponent < 0:
+        return f"1.0 / {power(base, -exponent)}"
+    if exponent <= 1:
+        return base if exponent else "1.0"
+    return f"x_pow{exponent}({base})"
+
+
+def _products() -> str:
+    """Functions x_pow2, x_pow3, ...: squares and one product."""
+    lines = []
+    for n in range(2, MOST + 2):
+        half = "x" if n // 2 == 1 else f"x_pow{n // 2}(x)"
+        tail = " * x" if n % 2 else ""
+        lines.append(
+            f"static inline double x_pow{n}(double x) {{ double h = {half}; return h * h{tail}; }}"
+        )
+    return "\n".join(lines) + "\n"
+
 
 FUNCTIONS = r"""
 static inline uint64_t to_bits(double x) { uint64_t b; memcpy(&b, &x, 8); return b; }
@@ -79,4 +120,25 @@ static inline double x_tanh(double x)
     large = x < 0.0 ? -large : large;
     return a < 0.625 ? small : large;
 }
-"""
+
+static inline double x_hypot(double x, double y)
+{
+    double a = fabs(x), b = fabs(y);
+    double most = a < b ? b : a, least = a < b ? a : b;
+    double q = least / (most == 0.0 ? 1.0 : most);
+    double v = most * sqrt(1.0 + q * q);
+    v = x != x || y != y ? NAN : v;
+    return a == INFINITY || b == INFINITY ? INFINITY : v;
+}
+
+static inline double x_pow(double a, double b)
+{
+    double size = x_exp(b * x_log(fabs(a)));
+    double half = 0.5 * b;
+    double is_whole = floor(b) == b ? 1.0 : 0.0, even = floor(half) == half ? 1.0 : 0.0;
+    double v = copysign(1.0, a) < 0.0 && is_whole != 0.0 && even == 0.0 ? -size : size;
+    v = a < 0.0 && a > -INFINITY && is_whole == 0.0 ? NAN : v;
+    v = a == -1.0 && fabs(b) == INFINITY ? 1.0 : v;
+    return b == 0.0 || a == 1.0 ? 1.0 : v;
+}
+""" + _products()

@@ -5,27 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 __all__ = ["BOOLEAN", "Program"]
 
 #: Operations whose value is a truth value.
 BOOLEAN = {"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not", "isnan"}
 
-_FOLD: dict[str, Callable[..., float]] = {
+_FOLD: dict[str, Callable[..., Any]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
     "min": lambda a, b: math.nan if math.isnan(a) or math.isnan(b) else min(a, b),
     "max": lambda a, b: math.nan if math.isnan(a) or math.isnan(b) else max(a, b),
-    "atan2": math.atan2,
     "neg": lambda a: -a,
     "abs": abs,
-    "exp": lambda a: math.exp(a) if a < 709.0 else math.inf,
-    "log1p": math.log1p,
-    "tanh": math.tanh,
-    "sin": math.sin,
-    "cos": math.cos,
-    "floor": lambda a: float(math.floor(a)),
     "lt": lambda a, b: float(a < b),
     "le": lambda a, b: float(a <= b),
     "gt": lambda a, b: float(a > b),
@@ -37,6 +33,15 @@ _FOLD: dict[str, Callable[..., float]] = {
     "not": lambda a: float(not a),
     "isnan": lambda a: float(math.isnan(a)),
 }
+#: Those that may leave the numbers: NumPy gives infinity or NaN, as C does.
+_PARTIAL: dict[str, Callable[..., Any]] = {
+    "div": np.divide, "pow": np.power, "sqrt": np.sqrt, "exp": np.exp, "expm1": np.expm1,
+    "log": np.log, "log1p": np.log1p, "sin": np.sin, "cos": np.cos, "tan": np.tan,
+    "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2,
+    "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "asinh": np.arcsinh,
+    "acosh": np.arccosh, "atanh": np.arctanh, "hypot": np.hypot, "floor": np.floor,
+    "erf": math.erf, "erfc": math.erfc,
+}  # fmt: skip
 _COMMUTATIVE = {"add", "mul", "min", "max", "and", "or", "eq", "ne"}
 
 
@@ -50,6 +55,7 @@ class Program:
 
     nodes: list[tuple[object, ...]] = field(default_factory=list)
     known: dict[tuple[object, ...], int] = field(default_factory=dict)
+    divisors: dict[int, int] = field(default_factory=dict)
 
     def _node(self, *key: object) -> int:
         if key not in self.known:
@@ -60,7 +66,9 @@ class Program:
     def const(self, value: float) -> int:
         """A number."""
         value = float(value)
-        return self._node("const", "nan") if math.isnan(value) else self._node("const", value)
+        if math.isnan(value) or (value == 0.0 and math.copysign(1.0, value) < 0.0):
+            return self._node("const", repr(value))  # equal to no number, or to another one
+        return self._node("const", value)
 
     def input(self, group: str, place: int) -> int:
         """An input: its group (constants, state, row) and place in it."""
@@ -71,7 +79,7 @@ class Program:
         op, *rest = self.nodes[node]
         if op != "const":
             return None
-        return math.nan if rest[0] == "nan" else float(rest[0])  # type: ignore[arg-type]
+        return float(rest[0])  # type: ignore[arg-type]
 
     def make(self, op: str, *args: int) -> int:
         """The node of an operation, folded and shared."""
@@ -81,24 +89,12 @@ class Program:
             return simple
         if op in _FOLD and all(v is not None for v in values):
             return self.const(_FOLD[op](*values))
-        if op in ("div", "sqrt", "log") and all(v is not None for v in values):
-            return self._folded_partial(op, [v for v in values if v is not None])
+        if op in _PARTIAL and all(v is not None for v in values):
+            with np.errstate(all="ignore"):
+                return self.const(_PARTIAL[op](*(np.float64(v) for v in values if v is not None)))
         if op in _COMMUTATIVE:
             args = tuple(sorted(args))
         return self._node(op, *args)
-
-    def _folded_partial(self, op: str, values: Sequence[float]) -> int:
-        a = values[0]
-        if op == "div":
-            b = values[1]
-            if b != 0.0:
-                return self.const(a / b)
-            return self.const(math.nan if a == 0.0 or math.isnan(a) else math.copysign(math.inf, a))
-        if a < 0.0 or math.isnan(a):
-            return self.const(math.nan)
-        if op == "sqrt":
-            return self.const(math.sqrt(a))
-        return self.const(math.log(a) if a > 0.0 else -math.inf)
 
     def _simplified(
         self, op: str, args: tuple[int, ...], values: Sequence[float | None]
@@ -128,10 +124,16 @@ class Program:
                 return self.const(0.0)
             if values[0] == 1.0 or None not in values:
                 return None
-            # One reciprocal serves all divisions by the same number, and their derivatives.
-            return self.make("mul", args[0], self.make("div", self.const(1.0), args[1]))
+            return self._divided(*args)
         if op == "neg" and self.nodes[args[0]][0] == "neg":
             return self._argument(args[0])
+        if op in BOOLEAN:
+            return self._simplified_logic(op, args, values)
+        return None
+
+    def _simplified_logic(
+        self, op: str, args: tuple[int, ...], values: Sequence[float | None]
+    ) -> int | None:
         if op == "and":
             if 0.0 in values:
                 return self.const(0.0)
@@ -144,9 +146,19 @@ class Program:
             if values[0] == 0.0:
                 return args[1]
             return args[0] if values[1] == 0.0 else None
+        if op == "ne" and values[1] == 0.0 and self.nodes[args[0]][0] in BOOLEAN:
+            return args[0]
         if op == "not" and self.nodes[args[0]][0] == "not":
-            return self._argument(args[0])
+            inner = self._argument(args[0])
+            return inner if self.nodes[inner][0] in BOOLEAN else None
         return None
+
+    def _divided(self, a: int, b: int) -> int | None:
+        """The first division by a number is one; all others take its reciprocal."""
+        one = self.const(1.0)
+        if ("div", one, b) not in self.known and self.divisors.setdefault(b, a) == a:
+            return None
+        return self.make("mul", a, self.make("div", one, b))
 
     def _argument(self, node: int) -> int:
         """The first argument of a node."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from difffilter.engine.functions import CALLS
 from difffilter.engine.program import Program
 
 __all__ = ["Schedule", "active_nodes", "schedule"]
@@ -12,8 +13,6 @@ __all__ = ["Schedule", "active_nodes", "schedule"]
 #: Operations in one loop: the compiler takes longer over long blocks than their share, so that
 #: the largest programs get shorter ones.
 SEGMENT, SHORT, LARGE = 300, 100, 6000
-#: Operations that no compiler turns into vector code; they stand in loops of their own.
-CALLS = {"sin", "cos", "atan2"}
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,11 @@ from difffilter.engine.trace import Layout
 __all__ = ["element", "identifier", "identifiers", "literal", "names", "places", "statements"]
 
 #: Operations that call a function; the macro of that name picks double or float.
-CALLS = ("sqrt", "exp", "log", "log1p", "tanh", "sin", "cos", "floor", "atan2", "abs")
+CALLS = (
+    "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2",
+    "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "erfc", "pow", "hypot", "floor",
+    "abs",
+)  # fmt: skip
 INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/",
     "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
