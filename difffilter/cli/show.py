@@ -22,7 +22,18 @@ examples:
 
 Every line "key = value" of the world is a key for --set.
 """
-WORLD = ("axes", "inputs", "world", "sensors", "faults", "start", "motion", "scenes", "score")
+WORLD = (
+    "axes",
+    "inputs",
+    "world",
+    "sensors",
+    "faults",
+    "start",
+    "motion",
+    "worlds",
+    "scenes",
+    "score",
+)
 
 
 def add(commands: Commands) -> None:

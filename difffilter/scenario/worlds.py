@@ -41,6 +41,7 @@ class WorldSpec:
     Attributes:
         name, weight, role, allow, plausible: as for :class:`Member`.
         overrides: dotted keys of the truth and their values, in a simulated world.
+        times: dotted keys of numbers of the truth, and what they are multiplied by.
         logs: patterns of the names of recorded logs, in a recorded one.
     """
 
@@ -51,7 +52,13 @@ class WorldSpec:
     allow: float = 1.02
     plausible: str = ""
     overrides: Mapping[str, Any] = field(default_factory=dict)
+    times: Mapping[str, float] = field(default_factory=dict)
     logs: tuple[str, ...] = ()
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it changes a simulated world."""
+        return bool(self.overrides or self.times)
 
 
 def read_worlds(top: Table) -> tuple[WorldSpec, ...]:
@@ -59,11 +66,8 @@ def read_worlds(top: Table) -> tuple[WorldSpec, ...]:
     found: list[WorldSpec] = []
     for part in top.tables("worlds"):
         base = part.data.get("name") == BASE
-        overrides = part.table("overrides", optional=True)
-        for key in overrides.data:
-            if not any(fnmatch.fnmatchcase(key, pattern) for pattern in CHANGES):
-                overrides.fail(key, f"a quoted dotted key of the truth: {', '.join(CHANGES)}")
-            overrides.take(key, "")
+        overrides = _changes(part.table("overrides", optional=True))
+        times = _changes(part.table("times", optional=True))
         spec = WorldSpec(
             name=part.label("name"),
             where=f"{part.where}: {part.path}",
@@ -72,19 +76,28 @@ def read_worlds(top: Table) -> tuple[WorldSpec, ...]:
             allow=part.number("allow", 1.02, low=1.0),
             plausible=part.text("plausible", ""),
             overrides=dict(overrides.data),
+            times={key: times.number(key) for key in times.data},
             logs=part.names("logs", ()),
         )
         if spec.name in {other.name for other in found}:
             part.fail("name", "no name twice")
-        if base and (spec.overrides or spec.logs):
-            part.fail("name", f"neither overrides nor logs beside the scenario's own, {BASE!r}")
-        if not base and bool(spec.overrides) == bool(spec.logs):
-            part.fail("overrides", "either overrides of a simulated world, or names of logs")
-        if spec.overrides and "world" not in top:
+        if base and (spec.simulated or spec.logs):
+            part.fail("name", f"no overrides, times or logs beside the scenario's own, {BASE!r}")
+        if not base and spec.simulated == bool(spec.logs):
+            part.fail("overrides", "overrides or times of a simulated world, or names of logs")
+        if spec.simulated and "world" not in top:
             part.fail("overrides", "logs in place of them in a scenario without [world]")
         part.finish()
         found.append(spec)
     return tuple(found)
+
+
+def _changes(table: Table) -> Table:
+    """The table, each of whose keys is one of the truth."""
+    for key in table.data:
+        if not any(fnmatch.fnmatchcase(key, pattern) for pattern in CHANGES):
+            table.fail(key, f"a quoted dotted key of the truth: {', '.join(CHANGES)}")
+    return table
 
 
 def check_worlds(scenario: Scenario) -> None:
@@ -110,10 +123,32 @@ def changed(scenario: Scenario, spec: WorldSpec) -> Scenario:
     """The scenario with the truth of that world, and its own systems."""
     document = {key: value for key, value in scenario.document.items() if key not in OTHERS}
     try:
-        truth = read_truth(Table(apply_overrides(document, spec.overrides), str(scenario.path)))
+        document = apply_overrides(document, spec.overrides)
+        scaled = {key: _product(document, key, factor) for key, factor in spec.times.items()}
+        truth = read_truth(Table(apply_overrides(document, scaled), str(scenario.path)))
     except InputError as error:
         raise InputError(f"{spec.where}: {error}") from None
     return replace(scenario, **truth._asdict(), worlds=())
+
+
+def _product(document: Mapping[str, Any], path: str, factor: float) -> Any:
+    """The number, or the list of numbers, at a dotted key, times a factor."""
+    value: Any = document
+    for key in path.split("."):
+        if isinstance(value, Mapping):
+            value = value.get(key)
+        else:
+            at = int(key) if key.isdecimal() else -1
+            value = value[at] if isinstance(value, list) and 0 <= at < len(value) else None
+
+    def times(item: Any) -> Any:
+        if isinstance(item, list):
+            return [times(part) for part in item]
+        if isinstance(item, bool) or not isinstance(item, int | float):
+            raise InputError(f"times.{path}: found {shown(value)}, expected numbers to multiply")
+        return item * factor
+
+    return times(value)
 
 
 def scenario_of_world(scenario: Scenario, name: str) -> Scenario:

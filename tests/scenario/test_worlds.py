@@ -97,9 +97,13 @@ WRONG = [
     ([{**QUIET, "role": "base"}], r"role: found 'base', expected one of tune, guard"),
     ([{**QUIET, "allow": 0.9}], r"allow: found 0\.9, expected a number of 1 or more"),
     ([{**QUIET, "weight": 0}], r"weight: found 0, expected a number above 0"),
-    ([{"name": "a"}], r"overrides: found nothing, expected either overrides"),
-    ([{**QUIET, "logs": ["a"]}], r"overrides: found \{.*\}, expected either overrides"),
-    ([{**QUIET, "name": "base"}], r"name: found 'base', expected neither overrides nor logs"),
+    ([{"name": "a"}], r"overrides: found nothing, expected overrides or times"),
+    ([{"name": "a", "times": {"world.dtt": 2.0}}], r"times\.world\.dtt: found None, expected numb"),
+    ([{"name": "a", "times": {"faults.nlos.kind": 2.0}}], r"found 'offset', expected numbers"),
+    ([{"name": "a", "times": {"faults.nlos.probability": 20.0}}], r"probability: found 2.0, exp"),
+    ([{"name": "a", "times": {"world.dt": "2"}}], r"world\.dt: found '2', expected a number"),
+    ([{**QUIET, "logs": ["a"]}], r"overrides: found \{.*\}, expected overrides or times"),
+    ([{**QUIET, "name": "base"}], r"name: found 'base', expected no overrides, times or logs"),
     (
         [{"name": "base", "role": "guard"}, {**QUIET, "rule": 1}],
         r"unknown key, did you mean 'role'",
@@ -139,3 +143,12 @@ def test_a_family_of_ones_own_logs_is_checked_alike() -> None:
             Family(members)
     with pytest.raises(InputError, match="found 'b', expected one of a"):
         Family((one,))["b"]
+
+
+@pytest.mark.parametrize("scale", [5.0, 50.0])
+def test_times_multiplies_what_the_scenario_says_and_follows_it(scale: float) -> None:
+    times = {"faults.nlos.scale": 2.0, "world.acceleration.high": 0.5}
+    scenario = airport({"name": "twice", "times": times}, **{"faults.nlos.scale": scale})
+    other = scenario_of_world(scenario, "twice")
+    assert other.faults["nlos"].scale == pytest.approx(2 * scenario.faults["nlos"].scale)
+    assert other.world.acceleration.second == (0.0, 5.0)
