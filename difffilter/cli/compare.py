@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from difffilter.cli.logs import need_log, not_clairvoyant, read_logs
 from difffilter.cli.options import Commands, check_place, load_named, shows_progress, whole
@@ -23,6 +23,7 @@ EXAMPLE = """\
 examples:
   difffilter compare airport-mlat --values published --values mine.json
   difffilter compare airport-mlat --system ekf --system m-ekf --trajectories 50 --json
+  difffilter compare airport-mlat --values published --values mine.json --worlds
   difffilter compare uwb-ranges --log los_A1.csv los_A2.csv
 
 Published values run every system; a checkpoint runs its own. RMSE and ratios have 95 %
@@ -52,6 +53,11 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--log", metavar="FILE", nargs="+", help="recorded logs with truth, instead of simulation"
     )
+    parser.add_argument(
+        "--worlds",
+        action="store_true",
+        help="in every one of the scenario's [[worlds]]; the system that is tuned, or --system",
+    )
     parser.add_argument("--out", metavar="FILE", help="write it too: .json or .md")
     parser.add_engine()
     parser.add_json()
@@ -71,19 +77,19 @@ def command(args: Namespace) -> int:
     values = _values(scenario, args.values, systems)
     log = read_logs(scenario, args.log)
     need_log(scenario, log)
+    options: dict[str, Any] = {
+        "trajectories": TRAJECTORIES if args.trajectories is None else args.trajectories,
+        "seed": SEED if args.seed is None else args.seed,
+        "log": log,
+        "progress": shows_progress(args),
+        "engine": args.engine,
+    }
+    if args.worlds:
+        return _worlds(args, scenario, values, options)
 
     from difffilter.comparison.comparison import compare
 
-    comparison = compare(
-        scenario,
-        values,
-        TRAJECTORIES if args.trajectories is None else args.trajectories,
-        SEED if args.seed is None else args.seed,
-        log=log,
-        systems=systems,
-        progress=shows_progress(args),
-        engine=args.engine,
-    )
+    comparison = compare(scenario, values, systems=systems, **options)
     as_json, text = json_text(comparison.as_dict()), comparison_text(comparison, scenario)
     if args.out:
         write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
@@ -94,6 +100,24 @@ def command(args: Namespace) -> int:
             f"{comparison.trajectories} held-out trajectories, seed {comparison.seed}"
         )  # fmt: skip
         print(f"{scenario.name}: {data}\n\n{text}", end="")
+    return 0
+
+
+def _worlds(
+    args: Namespace,
+    scenario: Scenario,
+    values: dict[str, Checkpoint | None],
+    options: dict[str, Any],
+) -> int:
+    """Compare in every world, print, write."""
+    from difffilter.comparison.worlds import compare_worlds
+
+    found = compare_worlds(scenario, values, systems=tuple(args.system or ()), **options)
+    as_json, text = json_text(found.as_dict()), found.markdown()
+    if args.out:
+        write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
+    head = f"{scenario.name}: {len(found.family)} worlds\n\n"
+    print(as_json if args.json else head + text.rstrip("\n"))
     return 0
 
 

@@ -2,124 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import NamedTuple
 
 import torch
-from torch import Tensor
 from tqdm import tqdm
 
+from difffilter.comparison.table import Comparison, Row, tabulate
 from difffilter.errors import InputError
+from difffilter.logs.family import Starter
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
+from difffilter.parameters.parameters import Values
+from difffilter.scenario.build import System
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.estimation import estimate, started
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.simulation import simulate
-from difffilter.scoring.metrics import (
-    bootstrap_interval,
-    mean_nees,
-    nis_per_channel,
-    paired_ratio,
-    position_error,
-    rejected,
-    scored_rows,
-)
 
-__all__ = ["Comparison", "Row", "compare"]
+__all__ = ["Comparison", "Contestant", "Row", "compare", "contestants", "run_all"]
 
 
-@dataclass(frozen=True)
-class Row:
-    """One system with one set of values.
+class Contestant(NamedTuple):
+    """Who runs in a comparison.
 
     Attributes:
-        system, values: names of both.
-        rmse: position RMSE in m over scored rows; ci95: bootstrap interval over trajectories.
-        median: median over trajectories of their own RMSE, m (outliers of a run that lost
-            track do not move it).
-        ratio: RMSE divided by the reference row's, with its paired interval.
-        nees_per_state: mean NEES over the true states that the system estimates; 1 expected.
-        nis_per_channel: mean nominal NIS per present channel; 1 expected; None for baselines.
-        estimated: share of rows with an estimate.
-        per_scene: RMSE per scene, where the scenario has scenes.
-        rejected: share of each channel's measurements with a weight below 0.1.
+        system, values: names of both, for the table.
+        recipe: a filter or a baseline.
+        frozen: physical values; None for the published ones.
+        temperature: None for the hard form.
     """
 
     system: str
     values: str
-    rmse: float
-    ci95: tuple[float, float]
-    median: float
-    ratio: float
-    ratio_ci95: tuple[float, float]
-    nees_per_state: float
-    nis_per_channel: float | None
-    estimated: float
-    per_scene: Mapping[str, float]
-    rejected: Mapping[str, float]
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        data = dict(vars(self))
-        if not self.per_scene:
-            del data["per_scene"]
-        return data
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Result of :func:`compare`; the reference row is the published tuned-for system.
-
-    Attributes:
-        scenario: name; trajectories: how many; seed: of simulated ones, None for logs.
-        reference: label of the row that ratios are relative to.
-        rows: one for each system and set of values.
-    """
-
-    scenario: str
-    trajectories: int
-    seed: int | None
-    reference: str
-    rows: tuple[Row, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return dict(vars(self)) | {"rows": [row.as_dict() for row in self.rows]}
-
-    def row(self, system: str, values: str = "published") -> Row:
-        """The row of a system and a set of values; InputError if there is none."""
-        for row in self.rows:
-            if (row.system, row.values) == (system, values):
-                return row
-        raise InputError(f"comparison: has no row {system} with {values} values")
-
-    def markdown(self) -> str:
-        """The comparison as a Markdown table."""
-        scenes = list(self.rows[0].per_scene) if self.rows else []
-        head = [
-            "system", "values", "RMSE (m)", "95 % interval", "median run (m)",
-            f"ratio to {self.reference}", "NEES per state", "NIS per channel", *scenes,
-        ]  # fmt: skip
-        lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-        for row in self.rows:
-            low, high = row.ratio_ci95
-            note = "" if row.estimated == 1.0 else f" ({100 * row.estimated:.1f} % of rows)"
-            nis = "" if row.nis_per_channel is None else f"{row.nis_per_channel:.2f}"
-            cells = [
-                row.system,
-                row.values,
-                f"{row.rmse:.3f}{note}",
-                f"{row.ci95[0]:.3f} to {row.ci95[1]:.3f}",
-                f"{row.median:.3f}",
-                f"{row.ratio:.3f} ({low:.3f} to {high:.3f})",
-                f"{row.nees_per_state:.2f}",
-                nis,
-                *(f"{row.per_scene[name]:.3f}" for name in scenes),
-            ]
-            lines.append("| " + " | ".join(cells) + " |")
-        return "\n".join(lines) + "\n"
+    recipe: System
+    frozen: Values | None = None
+    temperature: float | None = None
 
 
 def compare(
@@ -149,93 +68,63 @@ def compare(
         InputError: a checkpoint of a system or with parameters that this scenario has not,
             a log without truth.
     """
-    chosen = _choose(scenario, {"published": None} if values is None else values, systems)
+    chosen = contestants(scenario, {"published": None} if values is None else values, systems)
     held_out = simulate(scenario, trajectories, seed, "test") if log is None else log
     if held_out.truth is None:
         raise InputError("compare: needs truth columns in the logs, found none")
-    tracks: dict[tuple[str, str], Track] = {}
-    for name, label, checkpoint in tqdm(
-        chosen, desc="compare", unit="system", delay=2.0, disable=not progress
-    ):
-        system, frozen, temperature = scenario.system(name), None, None
-        if checkpoint is not None:
-            frozen, temperature = checkpoint.values, checkpoint.temperature
-        ready = started(scenario, system, held_out, frozen)
+    bar = tqdm(chosen, desc="compare", unit="system", delay=2.0, disable=not progress)
+    return tabulate(
+        scenario.name,
+        run_all(bar, held_out, partial(started, scenario), engine),
+        held_out,
+        wanted=(scenario.tuning.system, "published"),
+        seed=seed if log is None else None,
+        score=scenario.score,
+        scenes=scenario.scenes,
+    )
+
+
+def run_all(
+    who: Iterable[Contestant], log: Log, starter: Starter, engine: str
+) -> dict[tuple[str, str], Track]:
+    """Everybody's track of one log, by system and values."""
+    tracks = {}
+    for one in who:
+        ready = starter(one.recipe, log, one.frozen)
         with torch.no_grad():
-            tracks[name, label] = estimate(
-                system, ready, frozen, temperature=temperature, engine=engine
+            tracks[one.system, one.values] = estimate(
+                one.recipe, ready, one.frozen, temperature=one.temperature, engine=engine
             )
-    return _tabulate(scenario, tracks, held_out, seed if log is None else None)
+    return tracks
 
 
-def _choose(
+def contestants(
     scenario: Scenario, values: Mapping[str, Checkpoint | None], systems: tuple[str, ...]
-) -> list[tuple[str, str, Checkpoint | None]]:
+) -> list[Contestant]:
+    """Every system with published values, and every checkpoint's system with its own.
+
+    Raises:
+        InputError: a checkpoint of a system or with parameters that the scenario has not.
+    """
     for name in systems:
         scenario.system(name)
-    chosen: list[tuple[str, str, Checkpoint | None]] = []
+    chosen: list[Contestant] = []
     for label, checkpoint in values.items():
         if checkpoint is None:
             names = [name for name in scenario.systems if not systems or name in systems]
-            chosen += [(name, label, None) for name in names]
+            chosen += [Contestant(name, label, scenario.system(name)) for name in names]
             continue
-        declared = set(scenario.system(checkpoint.system).declarations)
+        recipe = scenario.system(checkpoint.system)
+        declared = set(recipe.declarations)
         if declared != set(checkpoint.values):
             differing = ", ".join(sorted(declared ^ set(checkpoint.values)))
             raise InputError(
                 f"values {label}: tuned for {checkpoint.scenario.name}, does not fit system "
                 f"{checkpoint.system} of {scenario.name} (parameters {differing})"
             )
-        chosen.append((checkpoint.system, label, checkpoint))
+        chosen.append(
+            Contestant(checkpoint.system, label, recipe, checkpoint.values, checkpoint.temperature)
+        )
     if not chosen:
         raise InputError("values: found none, expected published or a checkpoint")
     return chosen
-
-
-def _tabulate(
-    scenario: Scenario, tracks: Mapping[tuple[str, str], Track], log: Log, seed: int | None
-) -> Comparison:
-    rows = torch.stack([scored_rows(log, t, scenario.score) for t in tracks.values()])
-    common = rows.all(0)
-    if not bool(common.any()):
-        raise InputError("compare: found no row that every system has an estimate for")
-    squared = {key: position_error(log, track) for key, track in tracks.items()}
-    wanted = (scenario.tuning.system, "published")
-    reference = wanted if wanted in tracks else next(iter(tracks))
-    scorable = scored_rows(log, tracks[reference], scenario.score).sum()
-    made = []
-    for at, (key, track) in enumerate(tracks.items()):
-        ratio, *interval = paired_ratio(squared[key], squared[reference], common)
-        nis = float(nis_per_channel(track))
-        made.append(
-            Row(
-                *key,
-                rmse=_root_mean(squared[key], common),
-                ci95=bootstrap_interval(squared[key], common),
-                median=_median_run(squared[key], common),
-                ratio=ratio,
-                ratio_ci95=(interval[0], interval[1]),
-                nees_per_state=float(mean_nees(log, track, common)),
-                nis_per_channel=nis if nis == nis else None,
-                estimated=float(rows[at].sum() / scorable),
-                per_scene={
-                    scene.name: _root_mean(
-                        squared[key][scene.first - 1 : scene.last],
-                        common[scene.first - 1 : scene.last],
-                    )
-                    for scene in scenario.scenes
-                },
-                rejected=rejected(track),
-            )
-        )
-    label = f"{reference[0]} {reference[1]}"
-    return Comparison(scenario.name, log.trajectories, seed, label, tuple(made))
-
-
-def _root_mean(squared: Tensor, rows: Tensor) -> float:
-    return float(squared[rows].mean().sqrt())
-
-
-def _median_run(squared: Tensor, rows: Tensor) -> float:
-    total = torch.where(rows, squared, 0.0).sum(0) / rows.sum(0)
-    return float(total.sqrt().nanmedian())

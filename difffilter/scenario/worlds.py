@@ -125,9 +125,10 @@ def changed(scenario: Scenario, spec: WorldSpec) -> Scenario:
     try:
         document = apply_overrides(document, spec.overrides)
         scaled = {key: _product(document, key, factor) for key, factor in spec.times.items()}
-        truth = read_truth(Table(apply_overrides(document, scaled), str(scenario.path)))
+        document = apply_overrides(document, scaled)
     except InputError as error:
         raise InputError(f"{spec.where}: {error}") from None
+    truth = read_truth(Table(document, spec.where))
     return replace(scenario, **truth._asdict(), worlds=())
 
 

@@ -160,8 +160,9 @@ def test_recipes_are_faults_that_load() -> None:
     assert len(texts) >= 6
     for text in texts:
         for name, fault in tomllib.loads(text)["faults"].items():
-            changed = load_scenario(EXAMPLE, {"faults": {name: fault}, "world.steps": 50})
-            before = simulate(load_scenario(EXAMPLE, {"faults": {}, "world.steps": 50}), 4)
+            keys = {"world.steps": 50, "worlds": []}
+            changed = load_scenario(EXAMPLE, {"faults": {name: fault}, **keys})
+            before = simulate(load_scenario(EXAMPLE, {"faults": {}, **keys}), 4)
             after = simulate(changed, 4)
             assert not after.z.equal(before.z), name
 

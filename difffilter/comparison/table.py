@@ -1,0 +1,194 @@
+"""What a comparison found: a row for each system and set of values, on the same log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+from difffilter.logs.log import Log
+from difffilter.logs.track import Track
+from difffilter.scoring.metrics import (
+    Score,
+    bootstrap_interval,
+    mean_nees,
+    nis_per_channel,
+    paired_ratio,
+    position_error,
+    rejected,
+    scored_rows,
+)
+
+__all__ = ["Comparison", "Row", "Scene", "tabulate"]
+
+
+class Scene(Protocol):
+    """A named stretch of a log: first <= k <= last."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def first(self) -> int: ...
+    @property
+    def last(self) -> int: ...
+
+
+@dataclass(frozen=True)
+class Row:
+    """One system with one set of values.
+
+    Attributes:
+        system, values: names of both.
+        rmse: position RMSE in m over scored rows; ci95: bootstrap interval over trajectories.
+        median: median over trajectories of their own RMSE, m (outliers of a run that lost
+            track do not move it).
+        ratio: RMSE divided by the reference row's, with its paired interval.
+        nees_per_state: mean NEES over the true states that the system estimates; 1 expected.
+        nis_per_channel: mean nominal NIS per present channel; 1 expected; None for baselines.
+        estimated: share of rows with an estimate.
+        per_scene: RMSE per scene, where the scenario has scenes.
+        rejected: share of each channel's measurements with a weight below 0.1.
+    """
+
+    system: str
+    values: str
+    rmse: float
+    ci95: tuple[float, float]
+    median: float
+    ratio: float
+    ratio_ci95: tuple[float, float]
+    nees_per_state: float
+    nis_per_channel: float | None
+    estimated: float
+    per_scene: Mapping[str, float]
+    rejected: Mapping[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        data = dict(vars(self))
+        if not self.per_scene:
+            del data["per_scene"]
+        return data
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of :func:`compare`; the reference row is the published tuned-for system.
+
+    Attributes:
+        scenario: name; trajectories: how many; seed: of simulated ones, None for logs.
+        reference: label of the row that ratios are relative to.
+        rows: one for each system and set of values.
+    """
+
+    scenario: str
+    trajectories: int
+    seed: int | None
+    reference: str
+    rows: tuple[Row, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return dict(vars(self)) | {"rows": [row.as_dict() for row in self.rows]}
+
+    def row(self, system: str, values: str = "published") -> Row:
+        """The row of a system and a set of values; InputError if there is none."""
+        for row in self.rows:
+            if (row.system, row.values) == (system, values):
+                return row
+        raise InputError(f"comparison: has no row {system} with {values} values")
+
+    def markdown(self) -> str:
+        """The comparison as a Markdown table."""
+        scenes = list(self.rows[0].per_scene) if self.rows else []
+        head = [
+            "system", "values", "RMSE (m)", "95 % interval", "median run (m)",
+            f"ratio to {self.reference}", "NEES per state", "NIS per channel", *scenes,
+        ]  # fmt: skip
+        lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+        for row in self.rows:
+            low, high = row.ratio_ci95
+            note = "" if row.estimated == 1.0 else f" ({100 * row.estimated:.1f} % of rows)"
+            nis = "" if row.nis_per_channel is None else f"{row.nis_per_channel:.2f}"
+            cells = [
+                row.system,
+                row.values,
+                f"{row.rmse:.3f}{note}",
+                f"{row.ci95[0]:.3f} to {row.ci95[1]:.3f}",
+                f"{row.median:.3f}",
+                f"{row.ratio:.3f} ({low:.3f} to {high:.3f})",
+                f"{row.nees_per_state:.2f}",
+                nis,
+                *(f"{row.per_scene[name]:.3f}" for name in scenes),
+            ]
+            lines.append("| " + " | ".join(cells) + " |")
+        return "\n".join(lines) + "\n"
+
+
+def tabulate(
+    name: str,
+    tracks: Mapping[tuple[str, str], Track],
+    log: Log,
+    *,
+    wanted: tuple[str, str],
+    seed: int | None = None,
+    score: Score | str = "all",
+    scenes: Sequence[Scene] = (),
+) -> Comparison:
+    """The comparison of tracks of the same log, over the rows that all have an estimate for.
+
+    Args:
+        name: of the scenario or of the data.
+        tracks: by system and set of values.
+        wanted: system and values that ratios are relative to, if they are among the tracks.
+
+    Raises:
+        InputError: no such row.
+    """
+    rows = torch.stack([scored_rows(log, t, score) for t in tracks.values()])
+    common = rows.all(0)
+    if not bool(common.any()):
+        raise InputError("compare: found no row that every system has an estimate for")
+    squared = {key: position_error(log, track) for key, track in tracks.items()}
+    reference = wanted if wanted in tracks else next(iter(tracks))
+    scorable = scored_rows(log, tracks[reference], score).sum()
+    made = []
+    for at, (key, track) in enumerate(tracks.items()):
+        ratio, *interval = paired_ratio(squared[key], squared[reference], common)
+        nis = float(nis_per_channel(track))
+        made.append(
+            Row(
+                *key,
+                rmse=_root_mean(squared[key], common),
+                ci95=bootstrap_interval(squared[key], common),
+                median=_median_run(squared[key], common),
+                ratio=ratio,
+                ratio_ci95=(interval[0], interval[1]),
+                nees_per_state=float(mean_nees(log, track, common)),
+                nis_per_channel=nis if nis == nis else None,
+                estimated=float(rows[at].sum() / scorable),
+                per_scene={
+                    scene.name: _root_mean(
+                        squared[key][scene.first - 1 : scene.last],
+                        common[scene.first - 1 : scene.last],
+                    )
+                    for scene in scenes
+                },
+                rejected=rejected(track),
+            )
+        )
+    label = f"{reference[0]} {reference[1]}"
+    return Comparison(name, log.trajectories, seed, label, tuple(made))
+
+
+def _root_mean(squared: Tensor, rows: Tensor) -> float:
+    return float(squared[rows].mean().sqrt())
+
+
+def _median_run(squared: Tensor, rows: Tensor) -> float:
+    total = torch.where(rows, squared, 0.0).sum(0) / rows.sum(0)
+    return float(total.sqrt().nanmedian())
