@@ -183,7 +183,12 @@ def load(path: str | Path) -> Checkpoint:
         fail("scenario", data["scenario"], repr(scenario.name))
     values = _read_values(path, data["parameters"], system)
     checkpoint = Checkpoint(
-        scenario, data["system"], values, temperature, data["training"], data["result"]
+        scenario=scenario,
+        system=data["system"],
+        values=values,
+        temperature=temperature,
+        training=data["training"],
+        result=data["result"],
     )
     expected = checkpoint.as_dict()["recipe"]
     # A file of an older version may not name what was added since; the document decides.

@@ -115,15 +115,15 @@ def read_fault(name: str, table: Table, sensors: Iterable[SensorSpec]) -> Fault:
     else:
         size, scale = Distribution("constant", (0.0,), (0.0,)), 1.0
     fault = Fault(
-        name,
-        kind,
-        patterns,
-        table.number("probability", 1.0, low=0.0, high=1.0),
-        table.integer("duration", 1, low=1),
-        tuple((int(first), int(last)) for first, last in windows),
-        table.flag("joint"),
-        size,
-        scale,
+        name=name,
+        kind=kind,
+        channels=patterns,
+        probability=table.number("probability", 1.0, low=0.0, high=1.0),
+        duration=table.integer("duration", 1, low=1),
+        windows=tuple((int(first), int(last)) for first, last in windows),
+        joint=table.flag("joint"),
+        size=size,
+        scale=scale,
     )
     table.finish()
     return fault

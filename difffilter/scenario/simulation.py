@@ -55,12 +55,35 @@ def simulate(
     if world.platform is not None:
         known = world.platform_path().unsqueeze(1).expand(-1, trajectories, -1)
         inputs = dict(zip(world.platform_inputs, known.unbind(-1), strict=True))
+    z, told = _measure(scenario, truth, inputs, seed, purpose)
+    return Log(
+        channels=scenario.channels,
+        time=world.dt * torch.arange(1, world.steps + 1, dtype=torch.float64),
+        z=z,
+        truth=truth,
+        truth_states=world.states,
+        inputs=inputs
+        | told
+        | {"ideal.process": world.process_levels().unsqueeze(-1).expand(-1, trajectories)},
+        start=_start(scenario, path[0], seed, purpose),
+        names=tuple(f"{scenario.name}-{seed}-{i}" for i in range(trajectories)),
+    )
+
+
+def _measure(
+    scenario: Scenario,
+    truth: torch.Tensor,
+    inputs: dict[str, torch.Tensor],
+    seed: int,
+    purpose: str,
+) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    """Measurements (T, B, m), noise and faults in them, and what clairvoyant filters are told."""
     made = [
         sensor.measure(truth, stream(seed, purpose, "noise", name), inputs)
         for name, sensor in scenario.sensors.items()
     ]
     z, exact, noise = (torch.cat(parts, dim=-1) for parts in zip(*made, strict=True))
-    if not bool(torch.isfinite(path).all() and torch.isfinite(exact).all()):
+    if not bool(torch.isfinite(truth).all() and torch.isfinite(exact).all()):
         raise InputError(
             f"{scenario.name}: world: found a truth or a measurement that is not finite, expected "
             "moderate positions, velocities, accelerations and times"
@@ -72,24 +95,12 @@ def simulate(
         z, added_mean, added_variance = fault.strike(z, scenario.channels, generator)
         mean, variance = mean + added_mean, variance + added_variance
     z, weights = pooled(scenario.sensors, scenario.channels, z)
-    mean, variance = _shared(mean, weights), _shared(variance, weights.square())
-    return Log(
-        channels=scenario.channels,
-        time=world.dt * torch.arange(1, world.steps + 1, dtype=torch.float64),
-        z=z,
-        truth=truth,
-        truth_states=world.states,
-        inputs=inputs
-        | {
-            "fault.mean": mean,
-            "fault.variance": variance,
-            "ideal.error": torch.nan_to_num(z - exact),
-            "ideal.variance": noise,
-            "ideal.process": world.process_levels().unsqueeze(-1).expand(-1, trajectories),
-        },
-        start=_start(scenario, path[0], seed, purpose),
-        names=tuple(f"{scenario.name}-{seed}-{i}" for i in range(trajectories)),
-    )
+    return z, {
+        "fault.mean": _shared(mean, weights),
+        "fault.variance": _shared(variance, weights.square()),
+        "ideal.error": torch.nan_to_num(z - exact),
+        "ideal.variance": noise,
+    }
 
 
 def _start(scenario: Scenario, state: torch.Tensor, seed: int, purpose: str) -> Start | None:

@@ -38,12 +38,12 @@ def read_start(table: Table, simulated: bool, axes: int) -> StartSpec:
     if kind == "truth" and not simulated:
         table.fail("kind", "'measurements' or 'bearings' in a scenario without [world]")
     spec = StartSpec(
-        kind,
-        table.number("position_sigma", 0.0, low=0.0),
-        table.number("velocity_sigma", 0.0, low=0.0),
-        table.integer("rows", 10, low=1),
-        table.number("unknown_velocity", None, above=0.0),
-        table.numbers("velocity", axes, None),
+        kind=kind,
+        position_sigma=table.number("position_sigma", 0.0, low=0.0),
+        velocity_sigma=table.number("velocity_sigma", 0.0, low=0.0),
+        rows=table.integer("rows", 10, low=1),
+        unknown_velocity=table.number("unknown_velocity", None, above=0.0),
+        velocity=table.numbers("velocity", axes, None),
     )
     if kind == "bearings" and spec.velocity is None:
         table.fail("velocity", f"{axes} numbers beside kind = 'bearings'")

@@ -170,12 +170,12 @@ def read_parameters(table: Table) -> dict[str, ParameterSpec]:
                     value, unit = _scaled(value, factors[unit]), base
                     break
             specs[f"{component}.{field}"] = ParameterSpec(
-                f"{entry.where}: {entry.path}",
-                value,
-                unit,
-                entry.text("source", ""),
-                entry.flag("tuned"),
-                entry.number("prior", None, above=0.0),
+                where=f"{entry.where}: {entry.path}",
+                value=value,
+                unit=unit,
+                source=entry.text("source", ""),
+                tuned=entry.flag("tuned"),
+                prior=entry.number("prior", None, above=0.0),
             )
             entry.finish()
     return specs
