@@ -142,7 +142,8 @@ def compare_family(
         >>> import torch
         >>> from difffilter import ConstantVelocity, Contestant, Family, Filter, Log, Member
         >>> from difffilter import Position, compare_family
-        >>> filter = Filter(ConstantVelocity(1), (Position(axes=1, sigma=2.0),))
+        >>> sensor = Position(axes=1, sigma=2.0)
+        >>> filter = Filter(ConstantVelocity(1), (sensor,), start_sigma=(9.0, 3.0))
         >>> time = torch.arange(20, dtype=torch.float64)
         >>> truth = torch.stack([time, torch.ones_like(time)], -1).unsqueeze(1)
         >>> def log(off):

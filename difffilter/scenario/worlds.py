@@ -133,7 +133,10 @@ def changed(scenario: Scenario, spec: WorldSpec) -> Scenario:
 
 
 def _product(document: Mapping[str, Any], path: str, factor: float) -> Any:
-    """The number, or the list of numbers, at a dotted key, times a factor."""
+    """The number, or the list of numbers, at a dotted key, times a factor.
+
+    A probability goes up to 1: no fault is more frequent than always.
+    """
     value: Any = document
     for key in path.split("."):
         if isinstance(value, Mapping):
@@ -149,7 +152,8 @@ def _product(document: Mapping[str, Any], path: str, factor: float) -> Any:
             raise InputError(f"times.{path}: found {shown(value)}, expected numbers to multiply")
         return item * factor
 
-    return times(value)
+    scaled = times(value)
+    return min(scaled, 1.0) if path.endswith(".probability") else scaled
 
 
 def scenario_of_world(scenario: Scenario, name: str) -> Scenario:

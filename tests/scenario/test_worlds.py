@@ -100,7 +100,7 @@ WRONG = [
     ([{"name": "a"}], r"overrides: found nothing, expected overrides or times"),
     ([{"name": "a", "times": {"world.dtt": 2.0}}], r"times\.world\.dtt: found None, expected numb"),
     ([{"name": "a", "times": {"faults.nlos.kind": 2.0}}], r"found 'offset', expected numbers"),
-    ([{"name": "a", "times": {"faults.nlos.probability": 20.0}}], r"probability: found 2.0, exp"),
+    ([{"name": "a", "times": {"faults.nlos.probability": -1.0}}], r"probability: found -0.1, exp"),
     ([{"name": "a", "times": {"world.dt": "2"}}], r"world\.dt: found '2', expected a number"),
     ([{**QUIET, "logs": ["a"]}], r"overrides: found \{.*\}, expected overrides or times"),
     ([{**QUIET, "name": "base"}], r"name: found 'base', expected no overrides, times or logs"),
@@ -152,3 +152,8 @@ def test_times_multiplies_what_the_scenario_says_and_follows_it(scale: float) ->
     other = scenario_of_world(scenario, "twice")
     assert other.faults["nlos"].scale == pytest.approx(2 * scenario.faults["nlos"].scale)
     assert other.world.acceleration.second == (0.0, 5.0)
+
+
+def test_no_fault_is_more_frequent_than_always() -> None:
+    always = {"name": "always", "times": {"faults.nlos.probability": 20.0}}
+    assert scenario_of_world(airport(always), "always").faults["nlos"].probability == 1.0
