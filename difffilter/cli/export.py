@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from argparse import Namespace
 
@@ -35,6 +36,12 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--float", dest="single", action="store_true", help="compile in float by default"
     )
+    parser.add_argument(
+        "--origin",
+        metavar="X,Y",
+        help="coordinates in m that positions in C are relative to, one per axis: float has seven "
+        "digits, too few for a national grid",
+    )
     parser.set_defaults(command=command)
 
 
@@ -46,6 +53,18 @@ def command(args: Namespace) -> int:
     from difffilter.export.c99 import export_c
     from difffilter.scenario.checkpoint import load
 
-    for path in export_c(load(args.checkpoint), args.out, args.name, args.single):
+    origin = _origin(args.origin)
+    for path in export_c(load(args.checkpoint), args.out, args.name, args.single, origin=origin):
         print(path)
     return 0
+
+
+def _origin(text: str | None) -> tuple[float, ...]:
+    """Coordinates; none without the option."""
+    try:
+        found = tuple(float(word) for word in text.split(",")) if text is not None else ()
+    except ValueError:
+        found = (math.nan,)
+    if not all(map(math.isfinite, found)):
+        raise InputError(f"--origin: found {text!r}, expected numbers in m: X,Y")
+    return found

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from difffilter.errors import printable
 from difffilter.files import json_text
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 def note(text: str) -> None:
     """A line beside the result, on stderr."""
-    print(f"difffilter: note: {text}", file=sys.stderr)
+    print(f"difffilter: note: {printable(text)}", file=sys.stderr)
 
 
 def number(value: Any) -> str:
@@ -34,7 +35,7 @@ def number(value: Any) -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
     """Columns of text, as wide as their widest cell."""
-    lines = [list(head), *map(list, rows)]
+    lines = [[printable(cell) for cell in line] for line in (head, *rows)]
     widths = [max(len(cell) for cell in column) for column in zip(*lines, strict=True)]
     return "\n".join(
         (indent + "  ".join(cell.ljust(w) for cell, w in zip(line, widths, strict=True))).rstrip()

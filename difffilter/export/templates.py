@@ -14,7 +14,7 @@ HEADER = """\
 #ifndef {guard}_H
 #define {guard}_H
 
-{switch}#ifdef {guard}_FLOAT
+{switch}{unusable}#ifdef {guard}_FLOAT
 typedef float {name}_real;
 #else
 typedef double {name}_real;
@@ -25,7 +25,7 @@ typedef double {name}_real;
 
 /* The frozen values. Others follow from them in {name}.c: to change one, export again. */
 {constants}
-
+{origin}
 typedef struct {{
 {fields}
 }} {name}_belief;
@@ -149,18 +149,19 @@ GOLDEN = """\
 #define ROWS {rows}
 #define N {n}
 #define M {m}
-/* Of mean and covariance, relative to their largest entry in the row, and of the weights. In
-   float: twenty times the deviation of the Python filter's own run in float. In double: 1e-12, or
-   four times that deviation in double's roundings where the rows amplify it beyond. */
+/* Of mean, covariance and innovations in their standard deviations, and of standardised
+   innovations, weights and gates. In float: twenty times the deviation of the Python filter's own
+   run in float. In double: 1e-12, or twenty times it in the roundings of double where the
+   rows amplify it beyond. */
 #define TOLERANCE_FLOAT {single}
 #define TOLERANCE_DOUBLE {double}
 {arrays}
 """
 
 TEST = """\
-/* Self-test of {name}.c: the largest deviation of mean and covariance from the golden ones,
-   relative to their largest entry in the same row, and of the weights. Returns 0 if it is within
-   the tolerance.
+/* Self-test of {name}.c: the largest deviation of mean, covariance and innovations from the
+   golden ones, in the standard deviations of the row, and of standardised innovations, weights
+   and gates. Returns 0 if it is within the tolerance.
 
    cc -std=c99 -O2 -Wall -Wextra -Werror -pedantic {name}.c {name}_test.c -lm && ./a.out
    The same with -D{guard}_{other} tests the version in {other_word}. */
@@ -176,15 +177,14 @@ TEST = """\
 #define TOLERANCE TOLERANCE_DOUBLE
 #endif
 
-static double apart(const double *found, const double *expected, int count)
+static double worst = 0.0;
+
+/* A deviation; one that is no number stays the worst. */
+static void apart(double found, double expected, double scale)
 {{
-    double worst = 0.0, scale = 0.0;
-    for (int i = 0; i < count; i++) {{
-        double d = fabs(found[i] - expected[i]);
-        worst = d > worst || d != d ? d : worst;
-        scale = fabs(expected[i]) > scale ? fabs(expected[i]) : scale;
-    }}
-    return worst / scale;
+    double d = fabs(found - expected) / scale;
+    if (d > worst || d != d)
+        worst = worst != worst ? worst : d;
 }}
 
 int main(void)
@@ -192,7 +192,6 @@ int main(void)
     {name}_belief belief;
     {name}_result result;
 {declare}    {name}_real mean[N], deviations[N][N];
-    double worst = 0.0;
     for (int i = 0; i < N; i++) {{
         mean[i] = ({name}_real){name}_golden_mean[i];
         for (int j = 0; j < N; j++)
@@ -221,16 +220,23 @@ int main(void)
                 covariance[i * N + j] = sum;
             }}
         }}
-        double a = apart(found, {name}_golden_means[k], N);
-        double b = apart(covariance, &{name}_golden_covariances[k][0][0], N * N);
-        worst = a > worst || a != a ? a : worst;
-        worst = b > worst || b != b ? b : worst;
+        const double *sigma = {name}_golden_spread[k];
+        for (int i = 0; i < N; i++) {{
+            apart(found[i], {name}_golden_means[k][i], sigma[i]);
+            for (int j = 0; j < N; j++)
+                apart(covariance[i * N + j], {name}_golden_covariances[k][i][j],
+                      sigma[i] * sigma[j]);
+        }}
         for (int i = 0; i < M; i++) {{
-            double w = fabs((double)result.weight[i] - {name}_golden_weights[k][i]);
-            worst = w > worst || w != w ? w : worst;
+            const double seen = {name}_golden_standardised[k][i];
+            apart((double)result.innovation[i], {name}_golden_innovation[k][i],
+                  {name}_golden_deviation[k][i]);
+            apart((double)result.standardised[i], seen, fabs(seen) > 1.0 ? fabs(seen) : 1.0);
+            apart((double)result.weight[i], {name}_golden_weight[k][i], 1.0);
+            apart((double)result.gate[i], {name}_golden_gate[k][i], 1.0);
         }}
     }}
-    printf("{name}: largest relative deviation %.3g, tolerance %.3g\\n", worst, TOLERANCE);
+    printf("{name}: largest deviation %.3g, tolerance %.3g\\n", worst, TOLERANCE);
     return !(worst <= TOLERANCE);
 }}
 """

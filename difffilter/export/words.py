@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Callable, Sequence
 
 from torch import Tensor
 
+from difffilter.escape import c_comment as comment
 from difffilter.export.program import identifiers
 from difffilter.filters.filter import Filter
 from difffilter.scenario.checkpoint import Checkpoint
 
-__all__ = ["about", "array", "comment", "frozen_names", "frozen_values"]
+__all__ = ["about", "array", "frozen_names", "frozen_values"]
 
 #: Names of the header that no constant may take.
 OWN = (
@@ -23,11 +23,6 @@ RULES = {
     "taylor": "extended Kalman filter (first-order Taylor), square-root form",
     "cubature": "square-root cubature Kalman filter",
 }
-
-
-def comment(text: str) -> str:
-    """Text that neither ends nor opens a comment, on one line."""
-    return re.sub(r"(?<=[*/])(?=[*/])", " ", " ".join(text.split()))
 
 
 def about(checkpoint: Checkpoint) -> str:
@@ -82,7 +77,7 @@ def frozen_values(checkpoint: Checkpoint, name: str) -> list[str]:
     for key, parameter in filter.declarations.items():
         unit = parameter.unit if parameter.unit != "1" else "no unit"
         said = [parameter.meaning, unit, "tuned" if parameter.tuned else parameter.source]
-        lines.append(f"/* {key}: {comment('; '.join(word for word in said if word))} */")
+        lines.append(f"/* {comment(key)}: {comment('; '.join(word for word in said if word))} */")
         flat = checkpoint.values[key].reshape(-1).tolist()
         lines += [
             f"static const {name}_real {constant} = ({name}_real){value!r};"

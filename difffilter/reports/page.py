@@ -5,8 +5,9 @@ from __future__ import annotations
 import base64
 import re
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
+
+from difffilter.escape import html, tagless
 
 __all__ = ["END", "START", "aside", "figure", "page", "paragraph", "table"]
 
@@ -59,12 +60,12 @@ def page(title: str, body: Sequence[str]) -> str:
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <link rel="icon" href="data:,">
-<title>{escape(title)}</title>
+<title>{html(title)}</title>
 <style>
 {_STYLE}</style>
 </head>
 <body>
-<h1>{escape(title)}</h1>
+<h1>{html(title)}</h1>
 {START}
 {inside}
 {END}
@@ -80,7 +81,7 @@ def aside(text: str) -> str:
 
 def paragraph(text: str) -> str:
     """A paragraph; ``**strong**`` and `` `code` `` of the text are kept."""
-    shown = escape(text, quote=False)
+    shown = tagless(text)
     shown = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", shown)
     shown = re.sub(r"`(.+?)`", r"<code>\1</code>", shown)
     return f"<p>{shown}</p>"
@@ -105,7 +106,7 @@ def figure(path: Path, caption: str) -> str:
     if len(svg) > HEAVY:
         kind, data = "png", path.with_suffix(".png").read_bytes()
     source = f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-    shown = escape(caption)
+    shown = html(caption)
     image = f'<div class="wide"><img alt="{shown}" src="{source}"></div>'
     return f"<figure>{image}<figcaption>{shown}</figcaption></figure>"
 
@@ -117,6 +118,6 @@ def _cell(text: str) -> str:
 
 def _words(text: str) -> str:
     parts = re.split(rf"(\S{{{LONG},}})", text)
-    shown = [escape(part, quote=False) for part in parts]
+    shown = [tagless(part) for part in parts]
     shown[1::2] = [f'<span class="long">{word}</span>' for word in shown[1::2]]
     return "".join(shown)

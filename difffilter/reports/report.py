@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from difffilter.comparison.comparison import Comparison
+from difffilter.escape import html, markdown, prose
 from difffilter.files import json_text, write_atomically
 from difffilter.provenance import git_commit, library_versions
 from difffilter.reports import page
@@ -47,7 +47,7 @@ class Report:
     ) -> None:
         self.folder = Path(folder)
         self.title = title
-        self._lines = [f"# {title}", ""]
+        self._lines = [f"# {markdown(title)}", ""]
         self._body: list[str] = []
         self._data: dict[str, Any] = {
             "title": title,
@@ -64,8 +64,8 @@ class Report:
 
     def heading(self, text: str, level: int = 2) -> None:
         """A section, or at level 3 a part of one."""
-        self._lines += [f"{'#' * level} {text}", ""]
-        self._body.append(f"<h{level}>{escape(text)}</h{level}>")
+        self._lines += [f"{'#' * level} {markdown(text)}", ""]
+        self._body.append(f"<h{level}>{html(text)}</h{level}>")
 
     def verdict(self, name: str, text: str) -> None:
         """What an engineer is advised to do about ``name``, for whoever joins reports."""
@@ -73,7 +73,7 @@ class Report:
 
     def text(self, text: str) -> None:
         """A paragraph."""
-        self._lines += [text, ""]
+        self._lines += [prose(text), ""]
         self._body.append(page.paragraph(text))
 
     def table(
@@ -84,11 +84,9 @@ class Report:
         Args:
             paper: what the paper says about the same table, shown beside it.
         """
-        self._lines.append("| " + " | ".join(head) + " |")
-        self._lines.append("|" + "---|" * len(head))
-        self._lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
-        self._lines.append("")
-        self._body.append(page.table(head, [[_cell(value) for value in row] for row in rows]))
+        cells = [[_cell(value) for value in row] for row in rows]
+        self._lines += [_line(head), "|" + "---|" * len(head), *map(_line, cells), ""]
+        self._body.append(page.table(head, cells))
         self._data["tables"][name] = [dict(zip(head, row, strict=True)) for row in rows]
         self._paper(name, paper)
 
@@ -107,14 +105,15 @@ class Report:
             paper: what the paper says about the same figure, shown beside it.
         """
         save_figure(figure, self.folder / name)
-        self._lines += [f"![{caption}]({name}.png)", "", f"*{caption}* ([SVG]({name}.svg))", ""]
+        shown = markdown(caption)
+        self._lines += [f"![{shown}]({name}.png)", "", f"*{shown}* ([SVG]({name}.svg))", ""]
         self._body.append(page.figure(self.folder / name, caption))
         self._data["figures"].append({"name": name, "caption": caption})
         self._paper(name, paper)
 
     def _paper(self, name: str, says: str) -> None:
         if says:
-            self._lines += [f"> **The paper:** {says}", ""]
+            self._lines += [f"> **The paper:** {prose(says)}", ""]
             self._body.append(page.aside(f"**The paper:** {says}"))
             self._data["papers"][name] = says
 
@@ -142,7 +141,7 @@ class Report:
             self._lines += ["| claim | verdict | numbers |", "|---|---|---|"]
             for claim, held, numbers in rows:
                 shown = held if held == HELD[True] else f"**{held}**"
-                self._lines.append(f"| {claim} | {shown} | {numbers} |")
+                self._lines.append(f"| {markdown(claim)} | {shown} | {markdown(numbers)} |")
             self._lines.append("")
             self._body.append(page.table(["claim", "verdict", "numbers"], rows))
         path = self.folder / "report.md"
@@ -150,6 +149,11 @@ class Report:
         write_atomically(self.folder / "report.html", page.page(self.title, self._body))
         write_atomically(self.folder / "report.json", json_text(self._data) + "\n")
         return path
+
+
+def _line(cells: Sequence[str]) -> str:
+    """A row of a Markdown table."""
+    return "| " + " | ".join(map(markdown, cells)) + " |"
 
 
 def _cell(value: Any) -> str:

@@ -18,7 +18,7 @@ from difffilter.cli.main import main
 from difffilter.errors import InputError
 from difffilter.export.c99 import export_c
 from difffilter.export.program import element, identifier, identifiers, literal
-from difffilter.export.words import comment, frozen_values
+from difffilter.export.words import frozen_values
 from difffilter.files import write_together
 from difffilter.filters.filter import Filter
 from difffilter.scenario.checkpoint import Checkpoint, load
@@ -99,7 +99,12 @@ def test_the_self_test_fails_where_the_filter_or_the_vectors_differ(tmp_path: Pa
     source.write_text(text)
     vectors = tmp_path / "one_golden.h"
     golden = vectors.read_text()
-    for array, step in (("means", 1e-6), ("weights", 1e-6), ("weights", float("nan"))):
+    for array, step in (
+        ("means", 1e-6),
+        ("weight", 1e-6),
+        ("gate", -1.0),
+        ("standardised", float("nan")),
+    ):
         number = re.search(rf"one_golden_{array}\[.*= \{{\{{([^,]+),", golden)
         assert number is not None
         wrong = "(0.0 / 0.0)" if step != step else repr(float(number[1]) * (1 + step))
@@ -181,9 +186,7 @@ def test_a_soft_checkpoint_is_exported_soft(tmp_path: Path) -> None:
 
 
 @needs_compiler
-@pytest.mark.parametrize(
-    "name", ["a /* b */ c \\", "what ??/", "gr\u00f6\u00dfe", "int", "3d", "*/"]
-)
+@pytest.mark.parametrize("name", ["gr\u00f6\u00dfe", "int", "a-b_c", "x" * 64])
 def test_any_name_of_a_scenario_makes_plain_c(name: str, tmp_path: Path) -> None:
     checkpoint = changed("gate-lockout", "gated", name=name)
     made = export_c(checkpoint, tmp_path)
@@ -298,12 +301,6 @@ def test_numbers_of_either_precision() -> None:
     assert literal(sys.float_info.min**0.5) == "ROOT_SMALLEST"
     assert literal(1e-300) == "TINY(1e-300)"
     assert literal(4 * sys.float_info.epsilon) == "(4 * EPSILON)"
-
-
-def test_comments_stay_comments() -> None:
-    assert "*/" not in comment("a */ b /*/ c **/ /**/")
-    assert "/*" not in comment("a */ b /*/ c **/ /**/")
-    assert comment("a\n b") == "a b"
 
 
 @needs_compiler

@@ -8,6 +8,7 @@ from pathlib import Path
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from difffilter.files import write_atomically
@@ -49,6 +50,9 @@ def plain_log(ax: Axes, which: str) -> None:
 def save_figure(figure: Figure, path: str | Path) -> None:
     """Write PNG and SVG beside each other (any suffix of ``path`` is replaced)."""
     path = Path(path)
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_parse_math(False)  # a name of a file is no formula
     for suffix in (".png", ".svg"):
         buffer = BytesIO()
         metadata = {"Date": None} if suffix == ".svg" else None

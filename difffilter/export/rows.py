@@ -1,0 +1,152 @@
+"""Rows to test an exported filter on: where it works, disturbed, with holes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log, Start
+from difffilter.parameters.parameters import Values
+from difffilter.scenario.checkpoint import Checkpoint
+from difffilter.scenario.estimation import started
+from difffilter.scenario.simulation import simulate
+from difffilter.scoring.truth import nominal_sigma
+from difffilter.seeds import stream
+from difffilter.sensors.information import stacked_noise
+from difffilter.sensors.stations import StationSensor
+
+__all__ = ["rows"]
+
+ROWS = 60
+#: A wild value, in sigmas; how often; rows in which all channels are wild, to be refused.
+WILD, OFTEN, BURST = 25.0, 0.04, (36, 42)
+#: Of a walk: seconds between rows; the start's sigma as a share of the stations' spread, and in
+#: sigmas of the channels where there is no station.
+DT, SHARE, SIGMAS = 0.1, 0.05, 10.0
+
+
+def rows(checkpoint: Checkpoint, filter: Filter, known: Sequence[str], seed: int) -> Log:
+    """One trajectory with missing channels, irregular times and wild values, and its start.
+
+    Of the scenario's world, or a walk among the stations where it has none.
+
+    Args:
+        filter: the checkpoint's, or the same relative to an origin.
+        known: names of the inputs that the step reads.
+    """
+    values = checkpoint.values
+    world = checkpoint.scenario.world is not None and filter is checkpoint.published_filter
+    log = _simulated(checkpoint, known, seed) if world else _walk(filter, values, known, seed)
+    log = _holed(_disturbed(log, filter, values, seed), seed)
+    assert log.start is not None
+    start = log.start
+    own = start.covariance
+    sigma = _sigma(filter, values, known) if own is None else own.diagonal().sqrt()
+    return replace(log, start=Start(start.mean, _correlated(sigma), start.time))
+
+
+def _correlated(sigma: Tensor) -> Tensor:
+    """A covariance in which every state tells of every other, so that each term counts."""
+    n = len(sigma)
+    share = 0.5 / (1.0 + torch.arange(n, dtype=torch.float64))
+    correlation = torch.outer(share, share)
+    correlation.fill_diagonal_(1.0)
+    return torch.outer(sigma, sigma) * correlation
+
+
+def _simulated(checkpoint: Checkpoint, known: Sequence[str], seed: int) -> Log:
+    """Rows of the scenario's world."""
+    scenario, filter = checkpoint.scenario, checkpoint.published_filter
+    log = started(scenario, filter, simulate(scenario, 1, seed), checkpoint.values)
+    assert log.start is not None
+    covariance = log.start.covariance
+    start = Start(log.start.mean[0], None if covariance is None else covariance[0], log.start.time)
+    time = log.time if log.time.dim() == 1 else log.time[:, 0]
+    ramp = torch.linspace(0.0, 0.1, len(time), dtype=torch.float64)  # of what no world simulates
+    inputs = {name: log.inputs.get(name, ramp) for name in known}
+    inputs = {n: v[:, 0] if v.dim() > 1 else v for n, v in inputs.items()}
+    return Log(
+        log.channels, time[:ROWS], log.z[:ROWS, 0], inputs={n: v[:ROWS] for n, v in inputs.items()},
+        start=start,
+    )  # fmt: skip
+
+
+def _walk(filter: Filter, values: Values, known: Sequence[str], seed: int) -> Log:
+    """A straight walk that begins among the stations."""
+    generator = stream(seed, "golden")
+    constants = filter.prepare(values)
+    scale, centre = _sigma(filter, values, known), _centre(filter)
+    moved = torch.where(scale > 0.0, scale, 1.0)  # also where the start is certain
+    state = centre + 1.5 * moved
+    time = torch.arange(1, ROWS + 1, dtype=torch.float64) * DT
+    ramp = torch.linspace(0.0, float(scale.max()), ROWS, dtype=torch.float64)
+    inputs = {name: ramp * (-1.0) ** i for i, name in enumerate(known)}  # across the target's way
+    found = []
+    for k in range(ROWS):
+        row = {name: value[k] for name, value in inputs.items()}
+        step = torch.tensor(DT, dtype=torch.float64)
+        state = filter.motion.transition(state, step, row, constants)
+        parts = [sensor.predict(state, row, constants) for sensor in filter.sensors]
+        noise = stacked_noise(filter.sensors, state, row, constants).total
+        draw = torch.randn(len(noise), generator=generator, dtype=torch.float64)
+        found.append(torch.cat(parts) + noise.sqrt() * draw)
+    start = Start(torch.where(scale > 0.0, centre + scale, state), None, 0.0)
+    return Log(filter.channels, time, torch.stack(found), inputs=inputs, start=start)
+
+
+def _stations(filter: Filter) -> list[Tensor]:
+    """Coordinates along the axes (stations, axes) of the fixed stations of each sensor."""
+    return [
+        torch.tensor(sensor.stations, dtype=torch.float64)[:, : sensor.axes]
+        for sensor in filter.sensors
+        if isinstance(sensor, StationSensor) and not sensor.platform
+    ]
+
+
+def _centre(filter: Filter) -> Tensor:
+    """The state (n,) amid the stations, at rest; zeros without stations."""
+    centre = torch.zeros(len(filter.states), dtype=torch.float64)
+    for stations in _stations(filter)[:1]:
+        centre[: stations.shape[1]] = stations.mean(0)
+    return centre
+
+
+def _sigma(filter: Filter, values: Values, known: Sequence[str]) -> Tensor:
+    """Standard deviation (n,) of each state at the start: the filter's own, else a likely one."""
+    constants = filter.prepare(values)
+    n = len(filter.states)
+    if "start.sigma" in constants:
+        return constants["start.sigma"].expand(n)
+    sigma = torch.ones(n, dtype=torch.float64)
+    spread = [float((s - s.mean(0)).norm(dim=-1).max()) for s in _stations(filter)]
+    axes = getattr(filter.sensors[0], "axes", n)
+    zeros = dict.fromkeys(known, torch.zeros((), dtype=torch.float64))
+    noise = stacked_noise(filter.sensors, _centre(filter), zeros, constants).total
+    noisy = SIGMAS * float(noise.sqrt().max())
+    sigma[:axes] = SHARE * max(spread) if any(spread) else noisy
+    return sigma
+
+
+def _disturbed(log: Log, filter: Filter, values: Values, seed: int) -> Log:
+    """The log with wild values, so that gates, weights and recovery have work."""
+    sigma = nominal_sigma(filter, log, values)
+    wild = torch.rand(log.z.shape, generator=stream(seed, "wild")) < OFTEN
+    wild[BURST[0] : BURST[1]] = True
+    return replace(log, z=log.z + WILD * sigma * wild)
+
+
+def _holed(log: Log, seed: int) -> Log:
+    """The log with missing channels, an empty row and rows left out."""
+    missing = torch.rand(log.z.shape, generator=stream(seed, "holes")) < 0.15
+    missing[min(5, log.steps - 1)] = True
+    z = torch.where(missing, torch.nan, log.z)
+    kept = [i for i in range(log.steps) if i % 9 != 4]
+    if len(kept) < 2:
+        raise InputError("export: found too few rows to test on, expected a longer world")
+    inputs = {name: value[kept] for name, value in log.inputs.items()}
+    return replace(log, time=log.time[kept], z=z[kept], inputs=inputs)
