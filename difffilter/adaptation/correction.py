@@ -9,6 +9,7 @@ from torch import Tensor
 
 from difffilter.adaptation.matching import BEFORE
 from difffilter.adaptation.passive import Memory, Passive, jacobian
+from difffilter.core.linalg import minimum_norm
 from difffilter.core.linearised import Linearised
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Parameter, Values
@@ -81,11 +82,7 @@ def corrected(
     n, mean = linear.mean.shape[-1], linear.mean
     unit = torch.eye(n, dtype=mean.dtype, device=mean.device)[:, :axes]
     h = jacobian(linear, unit.expand(*mean.shape, axes)) * present.unsqueeze(-1)
-    normal = h.mT @ h
-    trace = normal.diagonal(dim1=-2, dim2=-1).sum(-1)
-    least = 1e-12 * trace + torch.finfo(mean.dtype).tiny
-    normal = normal + least[..., None, None] * unit[:axes]
-    delta = torch.linalg.solve(normal, (h.mT @ d.unsqueeze(-1)).squeeze(-1))
+    delta = minimum_norm(h, d)
     time = linear.dt if streak is None else linear.dt * (streak + 1.0)
     # Without any time passed the velocity has not brought the target there.
     rate = torch.where(time > 0.0, 1.0 / torch.where(time > 0.0, time, 1.0), 0.0)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from difffilter.core.innovation import innovation_variance
+from difffilter.core.innovation import innovation_variance, log_density, nis
 from difffilter.core.linalg import semidefinite_cholesky
 from difffilter.errors import InputError
 
@@ -82,36 +81,13 @@ class Record(NamedTuple):
 
     @property
     def nis(self) -> Tensor:
-        """(...), nu^T S^-1 nu over the present channels; 0 with none.
-
-        Raises:
-            torch.linalg.LinAlgError: S is not positive definite.
-        """
-        nis: Tensor = self._whitened()[0].square().sum(-1)
-        return nis
+        """(...), nu^T S^-1 nu over the present channels; 0 with none."""
+        return nis(self.observed, self.noise, self.innovation, self.present)
 
     @property
     def log_density(self) -> Tensor:
-        """(...), log N(nu; 0, S) over the present channels; 0 with none.
-
-        Raises:
-            torch.linalg.LinAlgError: S is not positive definite.
-        """
-        white, lower = self._whitened()
-        count = self.present.to(self.noise.dtype).sum(-1)
-        logarithm = lower.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-        return -0.5 * (white.square().sum(-1) + math.log(2.0 * math.pi) * count) - logarithm
-
-    def _whitened(self) -> tuple[Tensor, Tensor]:
-        """L^-1 nu and L, S = L L^T, over the present channels."""
-        mask = self.present.to(self.noise.dtype)
-        innovation = mask * self.innovation
-        cross = self.observed @ self.observed.mT * mask.unsqueeze(-1) * mask.unsqueeze(-2)
-        # A missing channel becomes an independent one of unit variance and innovation 0.
-        covariance = cross + torch.diag_embed(torch.where(self.present, self.noise, 1.0))
-        lower = torch.linalg.cholesky(covariance)
-        white = torch.linalg.solve_triangular(lower, innovation.unsqueeze(-1), upper=False)
-        return white.squeeze(-1), lower
+        """(...), log N(nu; 0, S) over the present channels; 0 with none."""
+        return log_density(self.observed, self.noise, self.innovation, self.present)
 
 
 def belief(mean: Tensor, covariance: Tensor) -> Belief:

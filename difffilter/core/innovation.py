@@ -1,14 +1,49 @@
-"""What a nominal innovation is expected to be: its variance."""
+"""What a nominal innovation is expected to be: its variance, its NIS, its log density."""
 
 from __future__ import annotations
 
+import math
+
+import torch
 from torch import Tensor
 
+from difffilter.core.equations import ChannelUpdate, sweep
 from difffilter.core.linalg import square_norms
 
-__all__ = ["innovation_variance"]
+__all__ = ["innovation_variance", "log_density", "nis"]
 
 
 def innovation_variance(observed: Tensor, noise: Tensor) -> Tensor:
     """(..., m), diagonal of S = Z Z^T + diag r, from Z (..., m, k) and r (..., m)."""
     return square_norms(observed) + noise
+
+
+def nis(observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor) -> Tensor:
+    """(...), nu^T S^-1 nu over the present channels; 0 with none.
+
+    The sum of e_i^2 / s_i, where e_i is what the channels before leave of innovation i and s_i
+    its variance then: what the update itself goes through. No matrix is formed or factored,
+    so that it is right however large Z Z^T is beside the noise.
+    """
+    return _channels(observed, noise, innovation, present)[0]
+
+
+def log_density(observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor) -> Tensor:
+    """(...), log N(nu; 0, S) over the present channels, by the same sums; 0 with none."""
+    squares, logarithms = _channels(observed, noise, innovation, present)
+    count = present.to(noise.dtype).sum(-1)
+    return -0.5 * (squares + logarithms + math.log(2.0 * math.pi) * count)
+
+
+def _channels(
+    observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Sums over the present channels of e_i^2 / s_i and of log s_i."""
+    weight = present.to(noise.dtype)
+    kept: list[ChannelUpdate] = []
+    noise = torch.where(present, noise, 1.0)
+    sweep(observed[..., :0, :], observed, innovation, weight, noise, kept)
+    # The last entry of a gain row is w e / s, and w is 0 or 1.
+    gain = torch.stack([update.gain_row[-1, 0] for update in kept], dim=-1)
+    s = torch.stack([update.s for update in kept], dim=-1)
+    return (gain.square() * s).sum(-1), (weight * s.log()).sum(-1)

@@ -14,6 +14,7 @@ from torch import Tensor
 __all__ = [
     "components",
     "join",
+    "minimum_norm",
     "needs_gradient",
     "positive_sqrt",
     "product",
@@ -80,10 +81,34 @@ def semidefinite_cholesky(covariance: Tensor) -> Tensor:
     return factor(covariance.movedim((-2, -1), (0, 1)).contiguous())[0].movedim((0, 1), (-1, -2))
 
 
-def factor(remainder: Tensor) -> tuple[Tensor, list[Tensor]]:
-    """Of (n, n, ...): the columns of L, (column, row, ...), and the inverse root of each pivot."""
+def minimum_norm(h: Tensor, d: Tensor) -> Tensor:
+    """Least-squares solution x (..., j) of H x = d of least norm, whatever the rank of H.
+
+    With H^T H = L L^T, C the columns of L with a pivot: x = C (C^T C)^-2 C^T H^T d. A pivot
+    within 100 units of rounding of its diagonal counts as zero.
+
+    Args:
+        h: (..., m, j); d: (..., m).
+    """
+    normal = h.mT @ h
+    columns, _ = factor(normal.movedim((-2, -1), (0, 1)).contiguous(), 100.0)
+    lower = columns.movedim((0, 1), (-1, -2))
+    inner = lower.mT @ lower
+    missing = (inner.diagonal(dim1=-2, dim2=-1) == 0.0).to(inner.dtype)
+    inner = inner + torch.diag_embed(missing)
+    right = lower.mT @ (h.mT @ d.unsqueeze(-1))
+    solved: Tensor = torch.linalg.solve(inner, torch.linalg.solve(inner, right))
+    return (lower @ solved).squeeze(-1)
+
+
+def factor(remainder: Tensor, units: float | None = None) -> tuple[Tensor, list[Tensor]]:
+    """Of (n, n, ...): the columns of L, (column, row, ...), and the inverse root of each pivot.
+
+    A pivot is zero within ``units`` (n if None) of rounding of its diagonal entry.
+    """
     n = remainder.shape[0]
-    smallest = n * torch.finfo(remainder.dtype).eps * remainder.diagonal().movedim(-1, 0)
+    units = float(n) if units is None else units
+    smallest = units * torch.finfo(remainder.dtype).eps * remainder.diagonal().movedim(-1, 0)
     zeros, infinity = torch.zeros_like(remainder[0]), remainder.new_tensor(torch.inf)
     parts, inverse_roots = [], []
     for j, least in enumerate(smallest):

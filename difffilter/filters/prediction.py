@@ -52,6 +52,8 @@ def predict(
         mean = motion.transition(belief.mean, dt, inputs, constants)
         ahead = motion.propagate(belief.mean, belief.deviations, dt, inputs, constants)
     process = motion.noise(belief.mean, dt, inputs, constants)
+    # No time, no step: noise per step adds nothing either.
+    process = torch.where((dt > 0.0)[..., None, None], process, 0.0)
     if adaptation is not None:
         process = adaptation.before_predict(belief.memory, process, inputs, constants)
 
