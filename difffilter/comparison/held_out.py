@@ -10,8 +10,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from difffilter.engine.choice import pick, tell
-from difffilter.errors import EngineError
+from difffilter.engine.choice import settled
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
@@ -68,16 +67,13 @@ class HeldOut:
     @cached_property
     def _chosen(self) -> str:
         """The engine of many runs: ``auto`` compiles where that is possible at all."""
-        chosen = pick(self.engine, math.inf)
-        if chosen != "auto":
-            return chosen
-        one = self.log.select([0]) if self.log.z.dim() > 2 else self.log
-        try:
-            run(self.filter, started(self.scenario, self.filter, one), engine="fused")
-        except EngineError as error:
-            tell(error)
-            return "torch"
-        return "fused"
+        some = list(range(min(8, self.log.trajectories)))
+        few = self.log.select(some) if self.log.z.dim() > 2 else self.log
+
+        def trial() -> Track:
+            return run(self.filter, started(self.scenario, self.filter, few), engine="fused")
+
+        return settled(self.engine, trial, math.inf)
 
     def outcome(
         self, values: Values | None = None, start: Callable[[Log], Log] = lambda log: log

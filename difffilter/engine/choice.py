@@ -9,24 +9,22 @@ from typing import TypeVar
 from difffilter.engine.build import compiler
 from difffilter.engine.notice import tell
 from difffilter.errors import EngineError, InputError
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
 
-__all__ = ["ENGINES", "eager_seconds", "pick", "tell", "with_engine"]
+__all__ = ["ENGINES", "eager_seconds", "pick", "settled", "tell", "with_engine"]
 
 ENGINES = ("auto", "torch", "fused")
-#: s of torch's time from which ``auto`` compiles.
-ENOUGH = 0.5
+#: s of torch's time from which ``auto`` compiles: the engine takes a tenth of it or less.
+ENOUGH = 0.1
 
 Result = TypeVar("Result")
 
 
-def eager_seconds(log: Rows, iterations: int = 0) -> float:
-    """About what torch takes to run a log, s: a formula, so that the choice is always the same.
-
-    Args:
-        iterations: of the filter's reweighting.
-    """
-    return log.steps * (1e-3 + 3e-6 * log.trajectories) * (1 + iterations)
+def eager_seconds(log: Rows, recipe: Recipe) -> float:
+    """About what torch takes to run a log, s: a formula, so that the choice is always the same."""
+    iterations = getattr(recipe, "iterations", 0)
+    return log.steps * (1e-3 + 3e-6 * log.trajectories) * float(1 + iterations)
 
 
 def pick(engine: str, seconds: float) -> str:
@@ -53,12 +51,26 @@ def with_engine(
 ) -> Result:
     """The result of the engine that was picked; ``auto`` falls back to torch and says so once."""
     chosen = pick(engine, seconds)
+    found = _tried(chosen, fused)
+    return plain() if found is None else found[0]
+
+
+def settled(engine: str, trial: Callable[[], object], seconds: float) -> str:
+    """The engine of many runs: ``auto`` is fused where it pays and a trial of it succeeds."""
+    chosen = pick(engine, seconds)
+    if chosen != "auto":
+        return chosen
+    return "torch" if _tried(chosen, trial) is None else "fused"
+
+
+def _tried(chosen: str, fused: Callable[[], Result]) -> tuple[Result] | None:
+    """What the compiled engine gives; None for torch, chosen or fallen back to."""
     if chosen == "torch":
-        return plain()
+        return None
     try:
-        return fused()
+        return (fused(),)
     except EngineError as error:
         if chosen == "fused":
             raise
         tell(error)
-        return plain()
+        return None

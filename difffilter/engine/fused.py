@@ -12,18 +12,18 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Record
 from difffilter.engine.build import build
-from difffilter.engine.kernels import run_source, sums_source
+from difffilter.engine.kernels import run_source, sums_source, width_for
 from difffilter.engine.trace import Layout, Objective, Traced, trace
 from difffilter.errors import EngineError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
 from difffilter.parameters.parameters import Values
 
-__all__ = ["Job", "Tangents", "forward", "rows_of", "sums", "traced_step"]
+__all__ = ["Job", "Tangents", "forward", "rows_of", "run_text", "sums", "traced_step"]
 
 Results = tuple[Tensor, Tensor, Record, Belief]
 #: The last traced steps, by filter and shapes; the filter is kept so that its id stays its own.
-_KEPT: OrderedDict[tuple[object, ...], tuple[Filter, Traced]] = OrderedDict()
+_KEPT: OrderedDict[tuple[object, ...], tuple[Recipe, Traced]] = OrderedDict()
 MOST = 64
 #: The last sources, by traced step and kind: writing them takes a moment too.
 _SOURCES: OrderedDict[tuple[object, ...], tuple[Traced, str]] = OrderedDict()
@@ -39,7 +39,7 @@ class Job(NamedTuple):
         intervals: dt before each row, (T,) or (T, ...).
     """
 
-    filter: Filter
+    filter: Recipe
     constants: Values
     log: Rows
     start: Belief
@@ -68,8 +68,9 @@ def forward(job: Job) -> Results:
     """
     lead, rows = rows_of(job)
     traced = traced_step(job, rows, len(lead))
-    library = build(_source(traced, "run", run_source))
     steps, size = job.log.steps, max(job.log.z[0, ..., 0].numel(), 1)
+    width = width_for(size)
+    library = build(run_text(traced, width))
     made = [
         torch.empty(steps, size, max(width, 1), dtype=torch.float64)
         for width in (traced.state.size, traced.output.size)
@@ -103,13 +104,14 @@ def sums(
     active = _places(traced.constants, moving)
     given = tangents.start if tangents else None
     states = set() if given is None else set(range(traced.state.size))
+    size = job.log.z[0, ..., 0].numel()
+    width = width_for(size)
     text = _source(
         traced,
-        ("sums", moving, given is None),
-        lambda t: sums_source(t, active if tangents else None, states),
+        ("sums", moving, given is None, width),
+        lambda t: sums_source(t, active if tangents else None, states, width),
     )
     library = build(text)
-    size = job.log.z[0, ..., 0].numel()
     p = len(tangents.constants) if tangents else 0
     sizes = tuple(map(len, traced.sums))
     q = sum(sizes)
@@ -154,6 +156,11 @@ def traced_step(
             _KEPT.popitem(last=False)
     _KEPT.move_to_end(key)
     return _KEPT[key][1]
+
+
+def run_text(traced: Traced, width: int) -> str:
+    """C source of a run with so many lanes."""
+    return _source(traced, ("run", width), lambda t: run_source(t, width))
 
 
 def _source(traced: Traced, kind: object, write: Callable[[Traced], str]) -> str:

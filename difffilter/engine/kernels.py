@@ -6,9 +6,9 @@ from difffilter.engine.emit import Step
 from difffilter.engine.functions import FUNCTIONS
 from difffilter.engine.trace import Layout, Traced
 
-__all__ = ["WIDTH", "run_source", "sums_source"]
+__all__ = ["WIDTH", "run_source", "sums_source", "width_for"]
 
-#: Trajectories side by side.
+#: Trajectories side by side, at most.
 WIDTH = 8
 
 _HEAD = """\
@@ -207,6 +207,11 @@ int sums(long steps, long trajectories, const double *c, const double *start,
 """
 
 
+def width_for(trajectories: int) -> int:
+    """Lanes for a job: none stays empty where there are few trajectories."""
+    return next(width for width in (1, 2, 4, WIDTH) if width >= min(trajectories, WIDTH))
+
+
 def run_source(traced: Traced, width: int = WIDTH) -> str:
     """C source of ``run``: states and records of every step."""
     step = Step(traced.program, [*traced.next_state, *traced.results])
@@ -224,7 +229,9 @@ def run_source(traced: Traced, width: int = WIDTH) -> str:
     return text + _ONE.format(**parts) if width == 1 else text
 
 
-def sums_source(traced: Traced, active: set[int] | None, states: set[int]) -> str:
+def sums_source(
+    traced: Traced, active: set[int] | None, states: set[int], width: int = WIDTH
+) -> str:
     """C source of ``sums``: sums of the losses' rows and their tangents, nothing kept per step.
 
     Args:
@@ -240,7 +247,7 @@ def sums_source(traced: Traced, active: set[int] | None, states: set[int]) -> st
     )
     still = [i for i in sorted(states) if i not in moving]
     advance += "".join(f"\n                    memset(ds[d][{i}], 0, sizeof s[0]);" for i in still)
-    return _head(traced, step, WIDTH) + _SUMS.format(
+    return _head(traced, step, width) + _SUMS.format(
         setup=step.setup(),
         step=step.step(),
         load=_load(traced.row, step.read),

@@ -9,8 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from difffilter.errors import EngineError
+
 __all__ = ["BOOLEAN", "Program"]
 
+#: Operations of a step above which a compiler takes minutes.
+LARGEST = 60_000
 #: Operations whose value is a truth value.
 BOOLEAN = {"lt", "le", "gt", "ge", "eq", "ne", "and", "or", "not", "isnan"}
 
@@ -59,6 +63,11 @@ class Program:
 
     def _node(self, *key: object) -> int:
         if key not in self.known:
+            if len(self.nodes) >= LARGEST:
+                raise EngineError(
+                    f"engine: found a step of more than {LARGEST} operations, expected fewer "
+                    "(each iteration and each entry of a matrix is written out)"
+                )
             self.known[key] = len(self.nodes)
             self.nodes.append(key)
         return self.known[key]

@@ -11,10 +11,9 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Record
 from difffilter.engine.build import build
-from difffilter.engine.fused import Job, rows_of, traced_step
-from difffilter.engine.kernels import run_source
+from difffilter.engine.fused import Job, rows_of, run_text, traced_step
 from difffilter.errors import EngineError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
 from difffilter.parameters.parameters import Values
 
@@ -34,7 +33,7 @@ class Stream:
     """
 
     def __init__(
-        self, filter: Filter, constants: Values, belief: Belief, inputs: Mapping[str, Tensor]
+        self, filter: Recipe, constants: Values, belief: Belief, inputs: Mapping[str, Tensor]
     ) -> None:
         if belief.mean.dim() != 1 or belief.mean.dtype != torch.float64:
             shape, dtype = list(belief.mean.shape), belief.mean.dtype
@@ -49,7 +48,7 @@ class Stream:
         job = Job(filter, constants, log, belief, zero)
         lead, rows = rows_of(job)
         traced = traced_step(job, rows, len(lead))
-        library = build(run_source(traced, 1))
+        library = build(run_text(traced, 1))
         self._layout, self._inputs = traced.state, tuple(inputs)
         self._rows = {name: rows[name][0].contiguous().clone() for name in traced.row.shapes}
         self._z, self._dt = self._rows["z"].numpy(), self._rows["dt"].view(1).numpy()
@@ -60,6 +59,8 @@ class Stream:
             *(x.data_ptr() for x in self._rows.values())
         )
         self._state = torch.empty(traced.state.size, dtype=torch.float64)
+        self._parts = [self._layout.count(shape) for shape in self._layout.shapes.values()]
+        self._memory = tuple(self._layout.shapes)[2:]
         self.set(belief)
         one = library.one
         one.restype = ctypes.c_long
@@ -79,8 +80,9 @@ class Stream:
     @property
     def belief(self) -> Belief:
         """A copy of the current belief."""
-        found = self._layout.unpack(self._state.clone())
-        return Belief(found.pop("mean"), found.pop("deviations"), found)
+        parts = self._state.clone().split_with_sizes(self._parts)
+        mean, deviations, *memory = map(torch.Tensor.view, parts, self._layout.shapes.values())
+        return Belief(mean, deviations, dict(zip(self._memory, memory, strict=True)))
 
     def step(
         self, z: Sequence[float], dt: float, inputs: Mapping[str, Tensor]

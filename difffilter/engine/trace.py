@@ -13,14 +13,18 @@ from torch import Tensor
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.engine.lower import Array, Lowering
 from difffilter.engine.program import Program
-from difffilter.filters.filter import Filter
-from difffilter.filters.stepping import step
+from difffilter.errors import EngineError
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.scoring.losses import LOSSES, LossContext
 
 __all__ = ["Layout", "Objective", "Traced", "trace"]
+
+
+#: A compiler takes minutes over more.
+MOST_ITERATIONS = 64
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,7 @@ class Objective:
 
 
 def trace(
-    filter: Filter,
+    filter: Recipe,
     constants: Values,
     belief: Belief,
     inputs: Mapping[str, Tensor],
@@ -118,7 +122,16 @@ def trace(
     """Trace one step for an unbatched belief and inputs (shapes are all that counts).
 
     With an objective, ``inputs`` hold the row's ``truth`` and ``time`` too.
+
+    Raises:
+        EngineError: an operation without a rule, named with its line; a step that is too large.
     """
+    iterations = getattr(filter, "iterations", 0)
+    if iterations > MOST_ITERATIONS:
+        raise EngineError(
+            f"engine: found {iterations} iterations, expected {MOST_ITERATIONS} or fewer "
+            "(each is written out)"
+        )
     names = list(constants)
     known, memory = list(inputs), list(belief.memory)
     m = len(filter.channels)
@@ -126,7 +139,7 @@ def trace(
     def flat(cs: list[Tensor], state: list[Tensor], row: list[Tensor]) -> list[Tensor]:
         before = Belief(state[0], state[1], dict(zip(memory, state[2:], strict=True)))
         measurement = Measurement(row[0], row[1], dict(zip(known, row[2:], strict=True)))
-        after, record = step(filter, dict(zip(names, cs, strict=True)), before, measurement)
+        after, record = filter.step(dict(zip(names, cs, strict=True)), before, measurement)
         sums, residuals = _objective(filter, objective, measurement, after, record)
         return [
             after.mean,
@@ -176,7 +189,7 @@ def trace(
 
 
 def _objective(
-    filter: Filter,
+    filter: Recipe,
     objective: Objective | None,
     measurement: Measurement,
     after: Belief,

@@ -78,7 +78,7 @@ def run(
     if differentiable and engine == "fused":
         raise InputError("engine fused: found values with gradient, expected none")
     track = with_engine(
-        "torch" if differentiable else engine, fused, plain, eager_seconds(log, filter.iterations)
+        "torch" if differentiable else engine, fused, plain, eager_seconds(log, filter)
     )
     check_finite(track)
     return track

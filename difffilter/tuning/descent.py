@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from difffilter.engine.choice import eager_seconds, pick, tell
-from difffilter.errors import EngineError, InputError
+from difffilter.engine.choice import eager_seconds, settled
+from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import ParameterSet, Values
@@ -308,35 +308,20 @@ class Descent:
         return certainty(parameters, partial(self.expand, parameters, batch, cold))
 
     def _pick(self, engine: str) -> str:
-        """The engine for all of this run: ``auto`` tries the compiled one on one trajectory."""
+        """The engine for all of this run: ``auto`` tries the compiled one on a few trajectories."""
         settings = self.settings
-        seconds = (
-            5.0
-            * settings.starts
-            * settings.steps
-            * eager_seconds(self.check, self.filter.iterations)
+        seconds = 5.0 * settings.starts * settings.steps * eager_seconds(self.check, self.filter)
+        few = self.check.select(list(range(min(8, self.check.trajectories))))
+        problem = Problem(
+            self.filter,
+            few,
+            settings.loss,
+            context=self.context,
+            temperature=settings.temperature[0],
+            engine="fused",
         )
-        chosen = pick(engine, seconds)
-        if chosen != "auto":
-            return chosen
-        try:
-            one = self.check.select([0])
-            values = ParameterSet(self.filter.declarations).values()
-            sum_losses(
-                Problem(
-                    self.filter,
-                    one,
-                    settings.loss,
-                    context=self.context,
-                    temperature=settings.temperature[0],
-                    engine="fused",
-                ),
-                values,
-            )
-        except EngineError as error:
-            tell(error)
-            return "torch"
-        return "fused"
+        values = ParameterSet(self.filter.declarations).values()
+        return settled(engine, lambda: sum_losses(problem, values), seconds)
 
     def _validate(self, values: Values) -> float:
         """Loss of the frozen, hard form on the validation data."""

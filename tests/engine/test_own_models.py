@@ -13,8 +13,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from difffilter import ConstantVelocity, Filter, FunctionSensor, Log, Start, Tracker, run, tanh
-from difffilter.engine import notice
+from difffilter.engine import notice, program
 from difffilter.engine.build import compiler
+from difffilter.engine.choice import eager_seconds, pick, settled
+from difffilter.engine.kernels import width_for
 from difffilter.errors import EngineError
 from difffilter.sensors.position import PositionSensor
 
@@ -128,3 +130,65 @@ def test_what_has_no_rule_is_named_and_torch_runs_after_one_warning(
         tracks = [run(filter, log), run(filter, log)]
     assert len([w for w in told if "torch runs instead" in str(w.message)]) == 1
     assert math.isfinite(float(tracks[1].mean.sum()))
+
+
+def test_many_iterations_are_refused_at_once_and_run_by_torch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("DIFFFILTER_ENGINE", raising=False)
+    sensor = FunctionSensor(("r",), lambda s, i, v: s[..., :1], sigma=1.0)
+    filter = Filter(ConstantVelocity(), (sensor,), tanh, iterations=300)
+    log = log_of(filter, 2)
+    with pytest.raises(EngineError, match="found 300 iterations, expected 64 or fewer"):
+        run(filter, log, engine="fused")
+    notice._told.clear()
+    with pytest.warns(UserWarning, match="300 iterations.*torch runs instead"):
+        chosen = settled("auto", lambda: run(filter, log, engine="fused"), math.inf)
+    assert chosen == "torch"
+
+
+def test_a_step_that_is_too_large_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(program, "LARGEST", 50)
+    sensor = FunctionSensor(("r",), lambda s, i, v: s[..., :1].cosh(), sigma=1.0)
+    filter = Filter(ConstantVelocity(), (sensor,))
+    with pytest.raises(EngineError, match="more than 50 operations"):
+        run(filter, log_of(filter), engine="fused")
+
+
+@pytest.mark.parametrize("trajectories", [1, 2, 3, 9])
+def test_lanes_by_job_give_the_same_numbers(trajectories: int) -> None:
+    sensor = FunctionSensor(("r",), lambda s, i, v: s[..., :1], sigma=1.0)
+    filter = Filter(ConstantVelocity(), (sensor,))
+    single = log_of(filter)
+    z = single.z[:, None, :] + torch.arange(trajectories, dtype=D)[:, None]
+    log = Log(filter.channels, single.time, z, start=single.start)
+    slow, fast = (run(filter, log, engine=engine) for engine in ("torch", "fused"))
+    torch.testing.assert_close(fast.mean, slow.mean, rtol=1e-12, atol=1e-12)
+    assert width_for(trajectories) == {1: 1, 2: 2, 3: 4, 9: 8}[trajectories]
+
+
+def test_a_belief_that_was_read_stays_as_it_was() -> None:
+    sensor = FunctionSensor(("r",), lambda s, i, v: s[..., :1], sigma=1.0)
+    filter = Filter(ConstantVelocity(), (sensor,))
+    tracker = Tracker(filter, [0.0] * 4, torch.eye(4, dtype=D), engine="fused")
+    tracker.step([1.0], dt=1.0)
+    read = tracker.belief
+    kept = read.mean.clone(), read.deviations.clone()
+    tracker.step([5.0], dt=1.0)
+    assert torch.equal(read.mean, kept[0])
+    assert torch.equal(read.deviations, kept[1])
+    assert not torch.equal(tracker.belief.mean, kept[0])
+
+
+def test_the_choice_is_the_same_for_the_same_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DIFFFILTER_ENGINE", raising=False)
+    sensor = FunctionSensor(("r",), lambda s, i, v: s[..., :1], sigma=1.0)
+    filter = Filter(ConstantVelocity(), (sensor,))
+
+    def chosen(rows: int, trajectories: int) -> str:
+        z = torch.zeros(rows, trajectories, 1, dtype=D)
+        log = Log(filter.channels, torch.arange(rows, dtype=D), z)
+        return pick("auto", eager_seconds(log, filter))
+
+    assert chosen(100, 256) == "auto"  # to be compiled
+    assert chosen(20, 1) == "torch"
