@@ -131,6 +131,8 @@ from difffilter.sensors.sensor import Sensor as Sensor
 from difffilter.sensors.sensor import wrap as wrap
 from difffilter.start.bearings import from_bearings as from_bearings
 from difffilter.start.fit import gauss_newton as gauss_newton
+from difffilter.start.known import at_position as at_position
+from difffilter.start.known import from_truth as from_truth
 from difffilter.start.measurements import from_measurements as from_measurements
 from difffilter.tuning.loop import TuneResult as TuneResult
 from difffilter.tuning.loop import tune as tune

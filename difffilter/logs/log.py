@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -24,12 +25,27 @@ class Start:
     Attributes:
         mean: (..., n).
         covariance: (..., n, n), or None for the filter's own ``start.sigma``.
-        time: seconds, at or before the first row; None for the first row's time.
+        time: seconds, at or before the first row, a number or a tensor with one; None for the
+            first row's time.
+
+    Raises:
+        InputError: a time that is not one finite number.
     """
 
     mean: Tensor
     covariance: Tensor | None = None
     time: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.time is None:
+            return
+        try:
+            time = float(self.time)
+        except (TypeError, ValueError, RuntimeError):
+            raise InputError(f"start.time: found {self.time!r}, expected one number") from None
+        if not math.isfinite(time):
+            raise InputError(f"start.time: found {time}, expected a finite number")
+        object.__setattr__(self, "time", time)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
 from difffilter.sensors.position import PositionSensor
 from difffilter.start.bearings import from_bearings
+from difffilter.start.known import at_position, from_truth
 from difffilter.start.measurements import from_measurements
 
 if TYPE_CHECKING:
@@ -34,17 +35,18 @@ def lean(filter: Filter, log: Log) -> Filter:
 
 
 def started(scenario: Scenario, system: System, log: Log, values: Values | None = None) -> Log:
-    """The log with a start: its own, else one from its first measurements.
+    """The log with a start: its own, else the one that the scenario's ``[start]`` says.
 
-    ``[start] kind = "bearings"`` crosses the first bearings; in a simulated world the start is
-    then one time step before the first row, at step 0.
-    How many rows that reads, and how unknown the velocity is, the scenario's ``[start]``
-    says; values are those of the system's parameters, the published ones if missing.
+    ``bearings`` crosses the first bearings; in a simulated world the start is then one time
+    step before the first row, at step 0. ``given``: position, velocity, covariance and time as
+    they stand there. ``truth`` of a scenario of recorded logs: the first row's. Else from the
+    first measurements (also recorded logs of a simulated world's scenario).
 
     Args:
         scenario: its ``[start]`` says how.
         system: a filter or a baseline; the log keeps its channels.
         log: z (T, m) or (T, B, m).
+        values: of the system's parameters, the published ones if missing.
 
     Raises:
         InputError: a trajectory, named, whose first measurements determine no position.
@@ -52,16 +54,34 @@ def started(scenario: Scenario, system: System, log: Log, values: Values | None 
     log = log.only(system.channels)
     if log.start is not None:
         return log
+    return replace(log, start=_start(scenario, system, log, values))
+
+
+def _start(scenario: Scenario, system: System, log: Log, values: Values | None) -> Start:
     spec = scenario.start
+    if spec.kind == "given":
+        assert spec.position is not None
+        known = (spec.position, spec.velocity, spec.covariance, spec.time)
+        return at_position(system.states, *known, dtype=log.z.dtype)
+    if spec.kind == "truth" and scenario.world is None:
+        sigmas = {"position_sigma": spec.position_sigma, "velocity_sigma": spec.velocity_sigma}
+        return from_truth(system.states, log, **sigmas, span=spec.span)
     if spec.kind == "bearings":
         assert spec.velocity is not None
         lead = scenario.world.dt if scenario.world else 0.0
-        start = from_bearings(system, log, spec.velocity, values, rows=spec.rows, lead=lead)
-        return replace(log, start=start)
-    start = from_measurements(
-        system, log, values, rows=spec.rows, velocity_sigma=spec.unknown_velocity
+        return from_bearings(
+            system, log, spec.velocity, values, rows=spec.rows, lead=lead, sensors=spec.sensors
+        )
+    return from_measurements(
+        system,
+        log,
+        values,
+        rows=spec.rows,
+        span=spec.span,
+        velocity_sigma=spec.unknown_velocity,
+        velocity=spec.velocity,
+        sensors=spec.sensors,
     )
-    return replace(log, start=start)
 
 
 def estimate(

@@ -42,7 +42,7 @@ def read_truth(top: Table) -> Truth:
     for name, sensor in sensors.items():
         if sensor.every > 1 and world is None:
             top.table("sensors").table(name).fail("every", "none in a scenario without [world]")
-    start = read_start(top.table("start", optional=True), world is not None, axes)
+    start = read_start(top.table("start", optional=True), world is not None, axes, [*sensors])
     return Truth(axes=axes, world=world, sensors=sensors, faults=faults, start=start)
 
 

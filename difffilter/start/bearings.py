@@ -13,7 +13,7 @@ from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.sensors.bearing import Bearing
 from difffilter.sensors.sensor import Sensor
-from difffilter.start.measurements import Recipe
+from difffilter.start.parts import Recipe, part_of
 from difffilter.start.rows import flatten
 
 __all__ = ["Lines", "crossing", "from_bearings", "lines", "the_bearing"]
@@ -89,6 +89,8 @@ def from_bearings(
     values: Values | None = None,
     rows: int = 6,
     lead: float = 0.0,
+    *,
+    sensors: Sequence[str] | None = None,
 ) -> Start:
     """Start of every trajectory from its first bearings: pseudo-linear least squares (paper 1).
 
@@ -104,12 +106,15 @@ def from_bearings(
         values: parameter values (bias); the declared ones if missing.
         rows: 2 or more.
         lead: s.
+        sensors: the name of the one that makes the start, where there are others.
 
     Raises:
         InputError: another sensor; a trajectory, named, whose first bearings do not cross, or
             cross behind the observer.
     """
-    sensor = the_bearing(recipe.sensors)
+    part = part_of(recipe, sensors)
+    sensor = the_bearing(part.sensors)
+    log = log.only(part.channels)
     if rows < 2:
         raise InputError(f"rows: found {rows}, expected 2 or more")
     constants = recipe.prepare(recipe.published(log.z.dtype) | dict(values or {}))

@@ -7,20 +7,37 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
 from difffilter.core.linalg import positive_sqrt
 from difffilter.parameters.parameters import Values
 from difffilter.sensors.information import Information, covariance_factor, stacked_noise
 from difffilter.sensors.sensor import Sensor
 
-__all__ = ["Fix", "Weigh", "gauss_newton", "residual"]
+__all__ = ["Fix", "Frame", "Weigh", "gauss_newton", "linearised", "residual"]
 
 Inputs = Mapping[str, Tensor]
 Weigh = Callable[[Tensor], Tensor]
 
 FIRST_DAMPING = 1e-3
 DAMPING_FACTOR = 10.0
+
+
+class Frame(NamedTuple):
+    """How the unknowns make the states: x = offset + along unknown.
+
+    Attributes:
+        along: (n, a), or (E, ..., n, a) where it differs by row (a position that moves).
+        offset: (n,) or (E, ..., n), states that are known.
+        information: (a,), prior information 1 / sigma^2 that each unknown is 0.
+    """
+
+    along: Tensor
+    offset: Tensor
+    information: Tensor
+
+    def state(self, unknown: Tensor) -> Tensor:
+        """(..., a) -> (..., n)."""
+        return self.offset + (self.along * unknown.unsqueeze(-2)).sum(-1)
 
 
 class Fix(NamedTuple):
@@ -45,7 +62,7 @@ def gauss_newton(
     iterations: int = 20,
     *,
     epochs: bool = False,
-    states: int | None = None,
+    frame: Frame | None = None,
 ) -> Fix:
     """Least squares of measurements towards a position, over any leading dimensions.
 
@@ -66,7 +83,7 @@ def gauss_newton(
         weigh: weights (..., m) in [0, 1] from residuals in sigmas (..., m); None for 1.
         iterations: fixed number of steps.
         epochs: whether the first dimension of ``z`` is summed over.
-        states: entries of the state that the sensors read: the position, then zeros.
+        frame: how the unknowns make the state that the sensors read; None: they are it.
 
     Returns:
         The position and (H^T M H)^-1 there as deviations; NaN where fewer channels than
@@ -78,45 +95,47 @@ def gauss_newton(
     lead = torch.broadcast_shapes(start.shape[:-1], z.shape[1:-1])  # type: ignore[no-untyped-call]
     position = start.expand(*lead, axes)
     present = ~torch.isnan(z)
-    size = states or axes
-    noise = stacked_noise(sensors, pad(position, (0, size - axes)), inputs, constants)
+    frame = frame or identity(position)
+    noise = stacked_noise(sensors, frame.state(position), inputs, constants)
     inverse = Information(noise.independent, noise.common, present)
     sigma = noise.total.sqrt()
 
     def root_weights(error: Tensor) -> Tensor:
         return torch.ones_like(error) if weigh is None else positive_sqrt(weigh(error / sigma))
 
-    def cost(root: Tensor, error: Tensor) -> Tensor:
-        return inverse.square(root * error).sum(0)
+    def cost(root: Tensor, error: Tensor, unknown: Tensor) -> Tensor:
+        prior = (frame.information * unknown.square()).sum(-1)
+        return inverse.square(root * error).sum(0) + prior
 
     def normal(root: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
         """H^T M H, and M H for the right-hand side."""
         scaled = root.unsqueeze(-1)
         weighted = scaled * inverse.times(scaled * gradient)
-        return (gradient.unsqueeze(-1) * weighted.unsqueeze(-2)).sum((0, -3)), weighted
+        matrix = (gradient.unsqueeze(-1) * weighted.unsqueeze(-2)).sum((0, -3))
+        return matrix + torch.diag(frame.information), weighted
 
     damping = position.new_full(lead, FIRST_DAMPING)
     unit = torch.eye(axes, dtype=position.dtype, device=position.device)
-    error, gradient = _linearise(sensors, constants, z, inputs, position, size)
+    error, gradient = linearised(sensors, constants, z, inputs, position, frame)
     # Near the minimum the costs differ by the rounding of z - h alone, and steps still improve.
     slack = 1.0 + 1e4 * torch.finfo(position.dtype).eps
     for _ in range(iterations):
         root = root_weights(error)
         matrix, weighted = normal(root, gradient)
-        downhill = (weighted * error.unsqueeze(-1)).sum((0, -2))
+        downhill = (weighted * error.unsqueeze(-1)).sum((0, -2)) - frame.information * position
         scale = matrix.diagonal(dim1=-2, dim2=-1).mean(-1)
         factor, regular = covariance_factor(matrix + (damping * scale)[..., None, None] * unit)
         shift = (factor @ (factor.mT @ downhill.unsqueeze(-1))).squeeze(-1)
         trial = position + torch.where(regular.unsqueeze(-1), shift, 0.0)
-        new_error, new_gradient = _linearise(sensors, constants, z, inputs, trial, size)
-        better = cost(root, new_error) <= slack * cost(root, error)
+        new_error, new_gradient = linearised(sensors, constants, z, inputs, trial, frame)
+        better = cost(root, new_error, trial) <= slack * cost(root, error, position)
         damping = torch.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
         accept = better.unsqueeze(-1)
         position = torch.where(accept, trial, position)
         error = torch.where(accept, new_error, error)
         gradient = torch.where(accept.unsqueeze(-1), new_gradient, gradient)
     factor, regular = covariance_factor(normal(root_weights(error), gradient)[0])
-    known = regular & (present.sum((0, -1)) >= axes)
+    known = regular & (present.sum((0, -1)) >= (frame.information == 0).sum())
     return Fix(
         torch.where(known.unsqueeze(-1), position, torch.nan),
         torch.where(known[..., None, None], factor, torch.nan),
@@ -133,19 +152,24 @@ def residual(sensors: Sequence[Sensor], z: Tensor, predicted: Sequence[Tensor]) 
     return torch.cat(parts, dim=-1)
 
 
-def _linearise(
+def identity(like: Tensor) -> Frame:
+    """The unknowns (..., a) are the state."""
+    axes = like.shape[-1]
+    zeros = like.new_zeros(axes)
+    return Frame(torch.eye(axes, dtype=like.dtype, device=like.device), zeros, zeros)
+
+
+def linearised(
     sensors: Sequence[Sensor],
     constants: Values,
     z: Tensor,
     inputs: Inputs,
-    position: Tensor,
-    states: int,
+    unknown: Tensor,
+    frame: Frame,
 ) -> tuple[Tensor, Tensor]:
-    """Residual (..., m) and gradient of h towards the position (..., m, axes)."""
-    axes = position.shape[-1]
-    state = pad(position, (0, states - axes))
-    along = torch.eye(states, axes, dtype=position.dtype, device=position.device)
-    along = along.expand(*position.shape[:-1], states, axes)
+    """Residual (..., m) and gradient of h towards the unknowns (..., m, a)."""
+    state = frame.state(unknown)
+    along = frame.along.expand(*state.shape[:-1], *frame.along.shape[-2:])
     observed = [sensor.observe(state, along, inputs, constants) for sensor in sensors]
     lead = torch.broadcast_shapes(*(gradient.shape[:-2] for _, gradient in observed))  # type: ignore[no-untyped-call]
     gradient = torch.cat([g.expand(*lead, *g.shape[-2:]) for _, g in observed], dim=-2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -10,40 +10,13 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
-from difffilter.sensors.builtin import Position
-from difffilter.sensors.information import stacked_noise
-from difffilter.sensors.sensor import Sensor
-from difffilter.start.fit import Weigh, gauss_newton, residual
-from difffilter.start.grid import candidates
-from difffilter.start.rows import Epochs, first_rows, flatten
+from difffilter.start.parts import Part, Recipe, part_of
+from difffilter.start.rows import flatten
+from difffilter.start.waiting import Fitted, Fitter
 
-__all__ = ["Recipe", "from_measurements"]
+__all__ = ["from_measurements"]
 
 CHUNK = 128
-REFINED = 8  # candidates per sensor
-FINISHED = 4
-
-
-class Recipe(Protocol):
-    """What the start asks of a filter or another estimator."""
-
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Names of the states, the position first."""
-
-    @property
-    def sensors(self) -> tuple[Sensor, ...]:
-        """The measurement models."""
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the sensors' channels."""
-
-    def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
-        """Declared values."""
-
-    def prepare(self, values: Values | None = None) -> Values:
-        """Constants from values."""
 
 
 @torch.no_grad()
@@ -56,16 +29,26 @@ def from_measurements(
     scale: float = 3.0,
     velocity_sigma: float | None = None,
     iterations: int = 10,
+    *,
+    velocity: Sequence[float] | None = None,
+    sensors: Sequence[str] | None = None,
 ) -> Start:
-    """Start mean of every trajectory: position by robust least squares, all else zero.
+    """Start of every trajectory: the position by robust least squares.
 
-    The position is taken as constant over the first ``rows`` rows with a measurement within
-    ``span`` seconds of the first such row (further rows until enough channels were seen to
-    determine it). Cost: the sum of log(1 + (e / (scale sigma))^2) over all channels and rows
-    (Cauchy), so that wild values among the first rows do no harm. A coarse grid per sensor
-    type (see :mod:`difffilter.start.grid`), the best candidates refined by
-    :func:`difffilter.start.fit.gauss_newton`, the lowest cost kept: deterministic, not
-    differentiable. Poor geometry can leave a mirror image of nearly equal cost.
+    The position is taken as constant (or as moving with ``velocity``) over the first ``rows``
+    rows with a measurement within ``span`` seconds of the first such row (further rows until
+    enough channels were seen to determine it). Cost: the sum of log(1 + |e / (scale sigma)|^2)
+    over rows and channels, those of a position fix together (Cauchy), so that wild values do
+    no harm. A coarse grid per sensor type (see :mod:`difffilter.start.grid`), the best
+    candidates refined by :func:`difffilter.start.fit.gauss_newton`, the lowest cost kept:
+    deterministic, not differentiable.
+
+    A fit is ambiguous where another position has nearly the same cost (e^3 = 20 to 1), or the
+    cost does not rise as its curvature says; where its weights take away nine tenths of the
+    information on some direction; or where five rows or more were read and one of them alone
+    carries nine tenths of it. Then rows and span are doubled, up to 32 times as many, and
+    position and velocity are fitted together, until it is not. What rests on one row to the
+    end, uncontradicted, is taken as it is.
 
     Args:
         recipe: the filter or estimator; its position is the first states.
@@ -74,18 +57,22 @@ def from_measurements(
         rows: number of rows, 1 or more; fewer where the target moves fast.
         span: seconds.
         scale: of the Cauchy cost, in the sensors' sigmas.
-        velocity_sigma: m/s; if given, the start has a covariance: that of the fit, plus the
-            motion from the log's first row to the mean of the rows used, and this for the
-            velocities. Without it, the covariance is None: the filter's ``start.sigma``.
+        velocity_sigma: m/s, how unknown the velocity is; if given, every start has a
+            covariance: that of the fit (grown by its residuals), plus the motion from the
+            log's first row to the mean of the rows used, and this for the velocities. Without
+            it, the covariance is None, the filter's ``start.sigma``, unless the filter has one
+            and a fit waited for more rows or is less certain than that says.
         iterations: of the first refinement; the best are refined twice as long.
+        velocity: m/s, known or expected; 0 if missing.
+        sensors: names of the sensors that make the start; all if missing.
 
     Returns:
-        Mean (..., n) at the first row's time: the position, then zeros (velocities and
-        whatever else the state holds).
+        Mean (..., n) at the first row's time: the position, the velocity, then zeros.
 
     Raises:
-        InputError: a trajectory, named, whose log never determines a position; channels that
-            do not fit; a covariance for states other than position and velocity.
+        InputError: a trajectory, named, whose log does not determine a position, and what it
+            fits alike; channels or sensors that do not fit; a covariance for states other
+            than position and velocity without ``start.sigma``.
     """
     if log.channels != recipe.channels:
         raise InputError(
@@ -93,117 +80,82 @@ def from_measurements(
         )
     if rows < 1:
         raise InputError(f"rows: found {rows}, expected 1 or more")
+    if not span >= 0.0:
+        raise InputError(f"span: found {span}, expected 0 or more seconds")
     constants = recipe.prepare(recipe.published(log.z.dtype) | dict(values or {}))
-    n, axes = len(recipe.states), _axes(recipe)
-    if velocity_sigma is not None and n not in (axes, 2 * axes):
+    part = part_of(recipe, sensors)
+    n = len(recipe.states)
+    declared = constants.get("start.sigma")
+    if velocity_sigma is not None and declared is None and n > part.axes + len(part.velocities):
         raise InputError(
             f"velocity_sigma: found states {', '.join(recipe.states)}, expected positions and "
-            "their velocities"
+            "their velocities, or start.sigma for the others"
         )
-    flat = flatten(log)
-    needed = _needed(recipe, axes)
-    positions, deviations, elapsed = [], [], []
-    for first in range(0, flat.trajectories, CHUNK):
-        part = flat.select(range(first, min(first + CHUNK, flat.trajectories)))
-        epochs = first_rows(part, rows, span, needed)
-        position, spread = _locate(recipe.sensors, constants, epochs, n, axes, scale, iterations)
-        failed = torch.isnan(position).any(-1).nonzero().flatten().tolist()
-        if failed:
-            at = first + failed[0]
-            name = flat.names[at] if flat.names and flat.names[at] else at
-            raise InputError(
-                f"start: trajectory {name}: its measurements never determine a position"
-            )
-        positions.append(position)
-        deviations.append(spread)
-        elapsed.append(epochs.elapsed)
+    moving = log.z.new_zeros(part.axes)
+    if velocity is not None:
+        if len(velocity) != part.axes:
+            raise InputError(f"velocity: found {len(velocity)} numbers, expected {part.axes}")
+        moving = log.z.new_tensor(list(velocity))
+    unknown = _velocity_sigma(part, declared, velocity_sigma, moving)
+    flat = flatten(log.only(part.channels))
+    problem = Fitter(part, constants, moving, unknown, rows, span, scale, iterations)
+    fits = [
+        problem.fit(flat.select(range(first, min(first + CHUNK, flat.trajectories))), first)
+        for first in range(0, flat.trajectories, CHUNK)
+    ]
+    fit = Fitted(*(torch.cat(each) for each in zip(*fits, strict=True)))
+    covariance = _covariance(fit, part, declared, unknown, velocity_sigma is not None)
     lead = log.z.shape[1:-1]
-    mean = torch.nn.functional.pad(torch.cat(positions), (0, n - axes))
-    covariance = None
-    if velocity_sigma is not None:
-        covariance = _covariance(torch.cat(deviations), torch.cat(elapsed), velocity_sigma, n)
+    if covariance is not None:
         covariance = covariance.reshape(*lead, n, n)
-    return Start(mean.reshape(*lead, n), covariance)
+    return Start(fit.mean.reshape(*lead, n), covariance)
 
 
-def _covariance(deviations: Tensor, elapsed: Tensor, sigma: float, states: int) -> Tensor:
-    """The fit's covariance plus the motion within ``elapsed``, and sigma^2 for velocities."""
-    axes = deviations.shape[-1]
-    moved = (sigma * elapsed).square().unsqueeze(-1).expand(-1, axes)
-    velocity = moved.new_full((len(moved), states - axes), sigma**2)
-    fit = torch.nn.functional.pad(deviations, (0, 0, 0, states - axes))
-    return fit @ fit.mT + torch.diag_embed(torch.cat([moved, velocity], dim=-1))
+def _velocity_sigma(
+    part: Part, declared: Tensor | None, given: float | None, like: Tensor
+) -> Tensor:
+    """(axes,), m/s, how unknown each velocity is; infinite where nobody says."""
+    if given is not None:
+        return torch.full_like(like, given)
+    if declared is None or not part.velocities:
+        return torch.full_like(like, torch.inf)
+    return declared.expand(len(part.states))[list(part.velocities)].to(like.dtype)
 
 
-def _axes(recipe: Recipe) -> int:
-    """Position components: as the built-in sensors say, else states before the velocities."""
-    axes = [int(getattr(sensor, "axes", 0)) for sensor in recipe.sensors]
-    if max(axes, default=0):
-        return max(axes)
-    states = recipe.states
-    leading = [i for i, name in enumerate(states) if name.startswith("v")]
-    return leading[0] if leading else len(states)
+def _covariance(
+    fit: Fitted, part: Part, declared: Tensor | None, sigma: Tensor, wanted: bool
+) -> Tensor | None:
+    """Covariances (B, n, n); None where the filter's ``start.sigma`` serves all trajectories.
 
-
-def _needed(recipe: Recipe, axes: int) -> int:
-    """Channels that must have been seen: one more than axes unless a position is measured."""
-    extra = 0 if any(isinstance(sensor, Position) for sensor in recipe.sensors) else 1
-    return min(axes + extra, len(recipe.channels))
-
-
-def _locate(
-    sensors: tuple[Sensor, ...],
-    constants: Values,
-    epochs: Epochs,
-    states: int,
-    axes: int,
-    scale: float,
-    iterations: int,
-) -> tuple[Tensor, Tensor]:
-    """Position (B, axes) of lowest Cauchy cost and its deviations; NaN where undetermined."""
-    z = epochs.z.unsqueeze(1)
-    inputs = {name: value.unsqueeze(1) for name, value in epochs.inputs.items()}
-
-    def cost(position: Tensor) -> Tensor:
-        """(C, B, axes) -> (C, B)."""
-        state = torch.nn.functional.pad(position, (0, states - axes))
-        predicted = [sensor.predict(state, inputs, constants) for sensor in sensors]
-        sigma = stacked_noise(sensors, state, inputs, constants).total.sqrt()
-        s = residual(sensors, z, predicted) / (scale * sigma)
-        total = torch.log1p(s.square()).sum((0, -1))
-        return torch.where(torch.isnan(total), torch.inf, total)
-
-    def best(position: Tensor, value: Tensor, count: int) -> Tensor:
-        """The ``count`` candidates (count, B, axes) of lowest cost."""
-        index = value.topk(min(count, len(value)), dim=0, largest=False, sorted=True).indices
-        return position.gather(0, index.unsqueeze(-1).expand(-1, -1, axes))
-
-    found = []
-    for grid in candidates(sensors, constants, epochs.z, epochs.inputs, axes):
-        value = cost(grid.flatten(0, 1)).reshape(grid.shape[:3])
-        least, member = value.min(1)
-        index = member[:, None, :, None].expand(-1, 1, -1, axes)
-        found.append(best(grid.gather(1, index).squeeze(1), least, REFINED))
-    present = ~torch.isnan(z)
-
-    def wide(s: Tensor) -> Tensor:
-        """Weights at the candidate's own scale: far from the minimum, longer steps."""
-        size = torch.where(present, s.abs(), torch.nan).movedim(0, -1).flatten(-2)
-        own = size.nanmedian(-1).values.nan_to_num(0.0).unsqueeze(-1)
-        return 1.0 / (1.0 + (s / own.clamp_min(scale)).square())
-
-    def narrow(s: Tensor) -> Tensor:
-        return 1.0 / (1.0 + (s / scale).square())
-
-    def refine(position: Tensor, weigh: Weigh, iterations: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Refined candidates, their deviations and costs; without a fix, infinity."""
-        fix = gauss_newton(
-            sensors, constants, z, inputs, position, weigh, iterations, epochs=True, states=states
-        )
-        return *fix, cost(fix.position)
-
-    position, _, value = refine(torch.cat(found), wide, iterations)
-    position, deviations, value = refine(best(position, value, FINISHED), narrow, 2 * iterations)
-    pick = value.argmin(0)[None, :, None]
-    spread = deviations.gather(0, pick.unsqueeze(-1).expand(1, -1, axes, axes))
-    return position.gather(0, pick.expand(1, -1, axes))[0], spread[0]
+    The fit's, plus the motion within ``elapsed`` at the velocity's sigma, and that for
+    velocities that were not fitted; ``start.sigma`` for the other states.
+    """
+    n, axes = len(part.states), part.axes
+    spread = fit.factor @ fit.factor.mT
+    if declared is None and not wanted:
+        return None  # nobody says how unknown the velocity is
+    if declared is not None and not wanted:
+        inverse = declared.expand(n)[:axes].to(spread.dtype).reciprocal()
+        white = inverse[:, None] * spread[:, :axes, :axes] * inverse
+        wide = torch.linalg.eigvalsh(white)[..., -1] > 1.0
+        needed = fit.moving | wide
+        if not bool(needed.any()):
+            return None
+    else:
+        needed = torch.ones_like(fit.moving)
+    own = torch.zeros_like(fit.mean) if declared is None else declared.square().expand_as(fit.mean)
+    extra = own.to(spread.dtype).clone()
+    known = torch.isfinite(sigma)
+    moved = torch.where(known, sigma, 0.0) * fit.elapsed.unsqueeze(-1)
+    extra[:, :axes] = moved.square()
+    for i, v in enumerate(part.velocities):
+        extra[:, v] = torch.where(fit.moving, 0.0, sigma[i].square())
+    total = spread + torch.diag_embed(extra)
+    for i, v in enumerate(part.velocities):  # the same velocity moved the position
+        shared = torch.where(fit.moving, 0.0, moved[:, i] * extra[:, v].sqrt())
+        total[:, i, v] -= shared
+        total[:, v, i] -= shared
+    if wanted:
+        return total
+    standard = torch.diag_embed(own.to(spread.dtype))
+    return torch.where(needed[:, None, None], total, standard)

@@ -19,12 +19,21 @@ class Epochs(NamedTuple):
     Attributes:
         z: (E, B, m), NaN where missing or where a trajectory has fewer rows.
         inputs: known inputs (E, B, ...).
-        elapsed: (B,), s, from the log's first row to the mean time of the rows.
+        since: (E, B), s, from the log's first row; 0 where there is no row.
+        measured: (B,), how many rows.
+        complete: (B,), whether no measured row is left.
     """
 
     z: Tensor
     inputs: Mapping[str, Tensor]
-    elapsed: Tensor
+    since: Tensor
+    measured: Tensor
+    complete: Tensor
+
+    @property
+    def elapsed(self) -> Tensor:
+        """(B,), s, from the log's first row to the mean time of the rows."""
+        return self.since.sum(0) / self.measured.clamp_min(1)
 
 
 def flatten(log: Log) -> Log:
@@ -69,6 +78,7 @@ def first_rows(log: Log, rows: int, span: float, needed: int) -> Epochs:
         return x.gather(0, at.expand(-1, -1, *x.shape[2:]))
 
     z = torch.where(valid.unsqueeze(-1), gather(log.z), torch.nan)
-    time = torch.where(valid, gather(log.time), torch.nan)
-    elapsed = torch.nan_to_num(time.nanmean(0) - log.time[0])
-    return Epochs(z, {name: gather(value) for name, value in log.inputs.items()}, elapsed)
+    time = torch.where(valid, gather(log.time) - log.time[0], 0.0)
+    inputs = {name: gather(value) for name, value in log.inputs.items()}
+    taken = wanted.sum(0)
+    return Epochs(z, inputs, time, taken, taken >= measured.sum(0))

@@ -1,0 +1,79 @@
+"""What a start asks of a recipe, and the sensors that make it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from difffilter.errors import InputError
+from difffilter.parameters.parameters import Values
+from difffilter.sensors.builtin import Position
+from difffilter.sensors.sensor import Sensor
+
+__all__ = ["Part", "Recipe", "needed_channels", "part_of"]
+
+
+class Recipe(Protocol):
+    """What the start asks of a filter or another estimator."""
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states, the position first."""
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The measurement models."""
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the sensors' channels."""
+
+    def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
+        """Declared values."""
+
+    def prepare(self, values: Values | None = None) -> Values:
+        """Constants from values."""
+
+
+class Part(NamedTuple):
+    """The sensors that make a start, as a recipe of their own."""
+
+    states: tuple[str, ...]
+    sensors: tuple[Sensor, ...]
+    channels: tuple[str, ...]
+    axes: int
+    velocities: tuple[int, ...]
+
+
+def part_of(recipe: Recipe, names: Sequence[str] | None) -> Part:
+    """The sensors named, all if None."""
+    known = {getattr(sensor, "name", ""): sensor for sensor in recipe.sensors}
+    for name in names or ():
+        if name not in known:
+            raise InputError(f"sensors: found {name!r}, expected some of {', '.join(known)}")
+    chosen = tuple(s for s in recipe.sensors if names is None or getattr(s, "name", "") in names)
+    if not chosen:
+        raise InputError("sensors: found none, expected one or more")
+    axes, states = _axes(recipe), recipe.states
+    found = [f"v{name}" for name in states[:axes]]
+    velocities = tuple(states.index(v) for v in found) if set(found) <= set(states) else ()
+    return Part(states, chosen, tuple(c for s in chosen for c in s.channels), axes, velocities)
+
+
+def _axes(recipe: Recipe) -> int:
+    """Position components: as the built-in sensors say, else states before the velocities."""
+    axes = [int(getattr(sensor, "axes", 0)) for sensor in recipe.sensors]
+    if max(axes, default=0):
+        return max(axes)
+    states = recipe.states
+    leading = [i for i, name in enumerate(states) if name.startswith("v")]
+    return leading[0] if leading else len(states)
+
+
+def needed_channels(part: Part) -> int:
+    """Channels that must have been seen: one more than axes unless a position is measured."""
+    extra = 0 if any(isinstance(sensor, Position) for sensor in part.sensors) else 1
+    return min(part.axes + extra, len(part.channels))
