@@ -91,6 +91,7 @@ from difffilter.running.objectives import Sums as Sums
 from difffilter.running.objectives import objective as objective
 from difffilter.running.objectives import sum_losses as sum_losses
 from difffilter.running.problem import Problem as Problem
+from difffilter.running.smoothing import smooth as smooth
 from difffilter.running.tracker import Tracker as Tracker
 from difffilter.scenario.checkpoint import Checkpoint as Checkpoint
 from difffilter.scenario.checkpoint import load as load

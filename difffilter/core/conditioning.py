@@ -15,7 +15,13 @@ __all__ = ["condition"]
 
 
 def condition(
-    deviations: Tensor, observed: Tensor, innovation: Tensor, weight: Tensor, noise: Tensor
+    deviations: Tensor,
+    observed: Tensor,
+    innovation: Tensor,
+    weight: Tensor,
+    noise: Tensor,
+    *,
+    floor: float | None = None,
 ) -> Conditioned:
     """Condition on independent scalar channels, one after the other (Potter's form).
 
@@ -41,6 +47,8 @@ def condition(
             number where the channel is missing.
         weight: (..., m) in [0, 1]; 0 where the channel is missing.
         noise: (..., m), independent noise variance r >= 0 of each channel.
+        floor: for channels without noise: one whose variance falls to this share of what it
+            was has told all that it can, and its gain is 0; None where s > 0 is known.
 
     Returns:
         Shift of the mean (..., n), posterior deviations (..., n, k), and residuals (..., m).
@@ -50,5 +58,5 @@ def condition(
     """
     tensors = (deviations, observed, innovation, weight, noise)
     if needs_gradient(*tensors):
-        return Conditioned(*ChannelSweep.apply(*tensors))  # type: ignore[no-untyped-call]
-    return sweep(*tensors)[0]
+        return Conditioned(*ChannelSweep.apply(*tensors, floor))  # type: ignore[no-untyped-call]
+    return sweep(*tensors, floor=floor)[0]

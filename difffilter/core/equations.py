@@ -48,8 +48,12 @@ def sweep(
     weight: Tensor,
     noise: Tensor,
     kept: list[ChannelUpdate] | None = None,
+    floor: float | None = None,
 ) -> tuple[Conditioned, Tensor]:
     """The equations of :func:`condition`; with ``kept``, notes what the gradient needs.
+
+    With ``floor``, a channel whose variance has fallen to that share of what it was before
+    all updates is left out: its s is taken as huge, in value and gradient.
 
     They run on one table with a row for each of [state; channel]: its columns of D, then
     what is left of the innovation, mu_i being 0 for a state. That last column takes part
@@ -64,11 +68,14 @@ def sweep(
     # sqrt(r) beside the columns of D, 0 beside the last one: (m, k + 1, 1, ...)
     root = positive_sqrt(noise)[:, None, None]
     root = torch.cat([root.expand(-1, k, *root.shape[2:]), torch.zeros_like(root)], dim=1)
+    least = None if floor is None else _least(observed, weight, noise, floor)
     for i, (w, r, root_r) in enumerate(zip(weight, noise, root, strict=True), start=n):
         row = table[:, i : i + 1]
         f = row[:k]
         g = (table[:k] * f).sum(0)
         s = torch.addcmul(r, w, g[i])
+        if least is not None:
+            s = torch.where(s > least[i - n], s, torch.finfo(s.dtype).max ** 0.5)
         denominator = torch.addcmul(s, root_r, s.sqrt())
         gain_row = w / denominator * row
         table = torch.addcmul(table, g, gain_row, value=-1)
@@ -79,3 +86,9 @@ def sweep(
         -left_over[..., :n], rows[..., :n, :], left_over[..., n:], rows[..., n:, :]
     )
     return conditioned, table
+
+
+def _least(observed: Tensor, weight: Tensor, noise: Tensor, floor: float) -> Tensor:
+    """(m, ...), the share ``floor`` of each channel's s before all updates."""
+    before = observed.detach().square().sum(-1).movedim(-1, 0)
+    return floor * (weight.detach() * before + noise.detach())

@@ -29,10 +29,11 @@ class ChannelSweep(torch.autograd.Function):
         innovation: Tensor,
         weight: Tensor,
         noise: Tensor,
+        floor: float | None = None,
     ) -> tuple[Tensor, ...]:
         """Run the sweep; keep the final table and what undoes each channel's update."""
         kept: list[ChannelUpdate] = []
-        conditioned, table = sweep(deviations, observed, innovation, weight, noise, kept)
+        conditioned, table = sweep(deviations, observed, innovation, weight, noise, kept, floor)
         weight, noise = weight.movedim(-1, 0), noise.movedim(-1, 0)
         g, gain_rows, s, denominators = zip(*kept, strict=True)
         together = torch.stack(s), torch.stack(denominators)
@@ -48,7 +49,7 @@ class ChannelSweep(torch.autograd.Function):
         deviations_bar: Tensor | None,
         residual_bar: Tensor | None,
         observed_bar: Tensor | None,
-    ) -> tuple[Tensor, ...]:
+    ) -> tuple[Tensor | None, ...]:
         """Gradients towards the five inputs (``x_bar`` = dLoss/dx)."""
         weight, noise, table, s, denominators, *updates = ctx.saved_tensors
         m, k = len(weight), table.shape[0] - 1
@@ -102,4 +103,5 @@ class ChannelSweep(torch.autograd.Function):
             table_bar[k, n:].movedim(0, -1),
             weight_bar.movedim(0, -1),
             noise_bar.movedim(0, -1),
+            None,
         )
