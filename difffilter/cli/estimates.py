@@ -5,23 +5,27 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from difffilter.files import write_atomically
 from difffilter.logs.log import Log
+from difffilter.logs.times import Clock
 from difffilter.logs.track import Track
 from difffilter.scoring.metrics import Score, isolated, rejected, rmse
 
 __all__ = ["columns", "summary", "write_estimates"]
 
 
-def write_estimates(path: str, log: Log, track: Track) -> None:
-    """Write the columns as CSV; a field is empty where there is no number."""
+def write_estimates(path: str, log: Log, track: Track, clock: Clock) -> None:
+    """Write the columns as CSV, times as the log has them; empty where there is no number."""
     table = columns(log, track)
-    lines = [",".join(table)]
-    for row in zip(*table.values(), strict=True):
-        lines.append(",".join(repr(value) if math.isfinite(value) else "" for value in row))
+    seconds = table.pop("time")
+    lines = [",".join(("time", *table))]
+    for time, *row in zip(clock.write(np.array(seconds)), *table.values(), strict=True):
+        fields = (repr(value) if math.isfinite(value) else "" for value in row)
+        lines.append(",".join((time, *fields)))
     write_atomically(path, "\n".join(lines) + "\n")
 
 

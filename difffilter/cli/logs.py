@@ -18,14 +18,17 @@ __all__ = ["need_log", "not_clairvoyant", "note_missing_run", "read_logs"]
 
 def read_logs(scenario: Scenario, paths: Sequence[str] | None) -> Log | None:
     """The logs as one batch, each with its own run's geometry; None where none are given."""
-    from difffilter.scenario.recorded import load_logs
+    from difffilter.logs.log import stack_logs
+    from difffilter.scenario.recorded import read_run
 
     if not paths:
         return None
-    log = load_logs(scenario, paths)
-    for path in paths:
+    read = [read_run(scenario, path) for path in paths]
+    for path, one in zip(paths, read, strict=True):
+        for line in one.told:
+            note(line)
         note_missing_run(scenario, Path(path).stem)
-    return log
+    return stack_logs([one.log for one in read])
 
 
 def note_missing_run(scenario: Scenario, run: str) -> None:

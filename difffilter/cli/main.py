@@ -115,7 +115,18 @@ def _say(line: str) -> None:
 
 
 def _parser() -> Parser:
-    from difffilter.cli import bench, compare, export, report, run, scenarios, show, simulate, tune
+    from difffilter.cli import (
+        bench,
+        compare,
+        export,
+        import_,
+        report,
+        run,
+        scenarios,
+        show,
+        simulate,
+        tune,
+    )  # fmt: skip
     from difffilter.cli.options import Parser, Version
 
     parser = Parser(
@@ -125,6 +136,6 @@ def _parser() -> Parser:
     )
     parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for module in (scenarios, show, simulate, tune, compare, run, report, bench, export):
+    for module in (scenarios, show, simulate, import_, tune, compare, run, report, bench, export):
         module.add(commands)
     return parser

@@ -16,7 +16,7 @@ from difffilter.cli.options import (
     shows_progress,
     with_overrides,
 )
-from difffilter.cli.output import print_json
+from difffilter.cli.output import note, print_json
 from difffilter.cli.values import HELP, read_values, unfit
 from difffilter.errors import InputError, shown
 
@@ -85,10 +85,14 @@ def command(args: Namespace) -> int:
     job = _of_run(chosen, args)
 
     from difffilter.cli.estimates import summary, write_estimates
+    from difffilter.logs.log import stack_logs
     from difffilter.scenario.estimation import estimate, started
-    from difffilter.scenario.recorded import load_logs
+    from difffilter.scenario.recorded import read_run
 
-    log = load_logs(job.scenario, [args.log])
+    read = read_run(job.scenario, args.log)
+    log = stack_logs([read.log])
+    for line in read.told:
+        note(line)
     system = job.scenario.system(job.system)
     frozen = job.values.values if job.values else None
     temperature = job.values.temperature if job.values else None
@@ -101,7 +105,7 @@ def command(args: Namespace) -> int:
     result = summary(log, track, job.scenario.score)
     if args.plot:
         _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, values {job.label}")
-    write_estimates(args.out, log, track)
+    write_estimates(args.out, log, track, read.clock)
     about = {"scenario": job.scenario.name, "system": job.system, "values": job.label}
     if args.json:
         print_json({**result, **about, "out": args.out})

@@ -13,9 +13,12 @@ from difffilter.errors import InputError
 
 if TYPE_CHECKING:
     from difffilter.logs.log import Log
+    from difffilter.scenario.scenario import Scenario
 
 __all__ = ["add"]
 
+#: First line of a log that is to be read as it is: without [log], whatever a fault made of it.
+MARKED = "1, SI units, simulated"
 EXAMPLE = """\
 examples:
   difffilter simulate airport-mlat --trajectories 100 --seed 7 --out logs
@@ -64,8 +67,9 @@ def command(args: Namespace) -> int:
         for i in range(args.trajectories)
     ]
     check_place(str(files[0]))
+    mark = MARKED if scenario.log or _beyond(scenario, log) else ""
     for i, path in enumerate(files):
-        write_log(path, _one(log, i))
+        write_log(path, _one(log, i), mark)
     if args.json:
         print_json(
             {
@@ -80,6 +84,18 @@ def command(args: Namespace) -> int:
         count = "1 log" if len(files) == 1 else f"{len(files)} logs"
         print(f"{scenario.name}: {count} of {log.steps} rows with truth in {args.out}")
     return 0
+
+
+def _beyond(scenario: Scenario, log: Log) -> bool:
+    """Whether a simulated fault gives what no device would: a range of 0, say."""
+    from difffilter.scenario.recorded import bounds
+
+    limits = bounds(scenario)
+    columns = zip(log.channels, log.z.unbind(-1), strict=True)
+    return any(
+        bool(((z <= limits[name].low) | (z > limits[name].high)).any())
+        for name, z in columns if name in limits
+    )  # fmt: skip
 
 
 def _one(log: Log, i: int) -> Log:

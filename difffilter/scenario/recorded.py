@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,14 +10,18 @@ from pathlib import Path
 import torch
 
 from difffilter.errors import LogError
+from difffilter.logs.layout import Bound, Form
 from difffilter.logs.log import Log, stack_logs
-from difffilter.logs.logfile import read_log
+from difffilter.logs.reading import Reading, reading
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.scenario.pooling import pooled
 from difffilter.scenario.scenario import Scenario
-from difffilter.sensors.builtin import StationSensor
+from difffilter.sensors.builtin import Range, StationSensor
 
-__all__ = ["load_logs", "scenario_of_run"]
+__all__ = ["bounds", "load_logs", "read_run", "scenario_of_run"]
+
+#: A whole turn in rad, and a hair.
+TURN = math.tau * (1 + 1e-12)
 
 
 def scenario_of_run(scenario: Scenario, run: str) -> Scenario:
@@ -27,11 +32,13 @@ def scenario_of_run(scenario: Scenario, run: str) -> Scenario:
 
 
 def load_logs(scenario: Scenario, paths: Sequence[str | Path], run: str | None = None) -> Log:
-    """Read log files and stack them; station positions become inputs, since runs differ.
+    """Read logs and stack them; station positions become inputs, since runs differ.
 
     Args:
-        scenario: names the channels, the input columns and, in ``[runs]``, what differs.
-        paths: CSV files; the stem of each names its run.
+        scenario: names the channels, the input columns and, in ``[runs]``, what differs;
+            ``[log]`` says how the files are stored.
+        paths: files; or, of a log in several files, what takes the place of ``{run}`` in
+            their names. The stem of each names its run.
         run: the run whose overrides apply to all files, in place of their stems.
 
     Returns:
@@ -41,12 +48,20 @@ def load_logs(scenario: Scenario, paths: Sequence[str | Path], run: str | None =
     Raises:
         LogError: a file that does not fit, with its line; InputError: other mismatches.
     """
-    return stack_logs([_load(scenario, Path(path), run) for path in paths])
+    return stack_logs([read_run(scenario, path, run).log for path in paths])
 
 
-def _load(scenario: Scenario, path: Path, run: str | None) -> Log:
+def read_run(scenario: Scenario, path: str | Path, run: str | None = None) -> Reading:
+    """One recorded log, z (T, m), how its times are written, and what was done to its rows.
+
+    Arguments and errors as those of :func:`load_logs`.
+    """
+    path = Path(path)
     own = scenario_of_run(scenario, run or path.stem)
-    log = _read(own, path)
+    derived = [c for s in own.sensors.values() if s.pool for c in s.model.channels]
+    form = own.log or Form()
+    read = reading(path, form, own.channels, own.inputs, bounds(own), derived)
+    log = _with_pooled(own, read.log)
     known = ConstantVelocity(own.axes).states
     for name in log.truth_states:
         if name not in known:
@@ -59,20 +74,24 @@ def _load(scenario: Scenario, path: Path, run: str | None) -> Log:
         if isinstance(sensor.model, StationSensor):
             stations = torch.tensor(sensor.model.stations, dtype=log.z.dtype)
             inputs[f"{sensor.model.name}.stations"] = stations.expand(log.steps, -1, -1)
-    return replace(log, inputs=inputs)
+    return replace(read, log=replace(log, inputs=inputs))
 
 
-def _read(scenario: Scenario, path: Path) -> Log:
+def bounds(scenario: Scenario) -> dict[str, Bound]:
+    """What each channel can be at all: a range is above 0, an angle within 2 pi."""
+    found = {}
+    for spec in scenario.sensors.values():
+        for channel in spec.model.channels:
+            if isinstance(spec.model, Range):
+                found[channel] = Bound(0.0, math.inf, "a range above 0 m")
+            elif spec.model.unit == "rad":
+                found[channel] = Bound(-TURN, TURN, "an angle within 2 pi rad")
+    return found
+
+
+def _with_pooled(scenario: Scenario, log: Log) -> Log:
     """The log with every channel; pooled ones are computed where they have no column."""
-    derived = [c for s in scenario.sensors.values() if s.pool for c in s.model.channels]
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            header = {name.strip() for name in file.readline().split(",")}
-    except (OSError, UnicodeDecodeError):
-        header = set()  # read_log says what is wrong
-    absent = [name for name in derived if name not in header]
-    log = read_log(path, [c for c in scenario.channels if c not in absent], scenario.inputs)
-    if not absent:
+    if log.channels == scenario.channels:
         return log
     z = torch.full((log.steps, len(scenario.channels)), torch.nan, dtype=log.z.dtype)
     z[:, [scenario.channels.index(name) for name in log.channels]] = log.z

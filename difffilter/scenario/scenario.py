@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from difffilter.errors import InputError, shown
+from difffilter.logs.layout import Form
 from difffilter.parameters.parameters import Parameter
 from difffilter.scenario.build import System, build_system
 from difffilter.scenario.document import SCHEMA, apply_overrides, check_texts, read_document
@@ -22,6 +23,7 @@ from difffilter.scenario.faults import Fault
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.starting import StartSpec
+from difffilter.scenario.storage import read_form
 from difffilter.scenario.systems import (
     MotionSpec,
     ParameterSpec,
@@ -56,6 +58,7 @@ class Scenario:
         score: which rows count.
         inputs: columns of known inputs in logs, the sensors' platform among them.
         runs: overrides for recorded runs, by the log file's stem.
+        log: how recorded logs are stored; None for plain files.
     """
 
     name: str
@@ -79,6 +82,7 @@ class Scenario:
     inputs: tuple[str, ...]
     runs: Mapping[str, Mapping[str, Any]]
     references: tuple[Reference, ...]
+    log: Form | None = None
 
     def system(self, name: str | None = None) -> System:
         """A system by name; the one to tune if no name is given.
@@ -169,6 +173,7 @@ def read_scenario(document: dict[str, Any], path: Path) -> Scenario:
         score=read_score(top),
         inputs=_inputs(top, truth.sensors),
         runs={name: part.data for name, part in top.table("runs", optional=True).children()},
+        log=read_form(top.table("log")) if "log" in top else None,
         references=tuple(read_reference(part) for part in top.tables("references")),
     )
     top.finish()

@@ -17,7 +17,7 @@ import difffilter
 from difffilter.cli.main import main
 
 COMMANDS = [
-    "scenarios", "show", "simulate", "tune", "compare", "run", "report", "export", "bench"
+    "scenarios", "show", "simulate", "import", "tune", "compare", "run", "report", "export", "bench"
 ]  # fmt: skip
 #: What these write are files alone.
 WITHOUT_JSON = {"report", "export"}

@@ -298,6 +298,11 @@ def test_records_and_checkpoints_are_described_whole() -> None:
 # Scenario files
 
 
+LAYOUT: dict[str, Any] = {
+    "time": "t", "format": "unix", "zone": "UTC", "separator": ";", "decimal": ",",
+    "by": "anchor", "value": "metres", "beyond": "missing", "sort": False, "ignore": ["*"],
+    "missing": [-1, "none"], "columns": {"a": "b"}, "units": {"b": "km"}, "relative": {"b": "c"},
+}  # fmt: skip
 #: Tables that the example does not have, so that every reader reads every key.
 RECORDED: dict[str, Any] = {
     "schema": 1,
@@ -315,6 +320,7 @@ RECORDED: dict[str, Any] = {
     "systems": {"ekf": {}},
     "references": [{"run": "a", "system": "b", "rmse": 1.0, "source": "c"}],
     "worlds": [{"name": "night", "logs": ["night-*"]}],
+    "log": {"gap": 1.0, **LAYOUT, "files": {"radar": {"file": "{run}_radar.csv", **LAYOUT}}},
 }
 #: How the second part of these tables' paths is written in a heading.
 NAMED = {"sensors": "NAME", "faults": "NAME", "systems": "NAME", "runs": "NAME"}
@@ -331,6 +337,8 @@ def heading(path: str) -> str:
     parts = re.sub(r"\[\d+\]", "", path).split(".")
     if parts[0] in NAMED and len(parts) > 1:
         parts[1] = NAMED[parts[0]]
+    if parts[:2] == ["log", "files"] and len(parts) == 3:
+        parts[2] = "NAME"
     if parts[0] == "parameters" and len(parts) == 3:
         parts[1:] = ["COMPONENT", "NAME"]
     name = ".".join(parts)

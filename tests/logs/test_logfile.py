@@ -17,6 +17,7 @@ from difffilter.logs.logfile import read_log, write_log
 
 CHANNELS = ("tdoa_2", "tdoa_3")
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+TIMES = st.floats(-1e9, 1e9)
 FIELDS = st.one_of(NUMBERS, st.just(math.nan))
 
 GOOD = """\
@@ -29,7 +30,7 @@ time,tdoa_2,tdoa_3,truth_x
 
 @st.composite
 def logs(draw: st.DrawFn) -> Log:
-    times = draw(st.lists(NUMBERS, min_size=1, max_size=8, unique=True))
+    times = draw(st.lists(TIMES, min_size=1, max_size=8, unique=True))
     rows, width = len(times), draw(st.integers(1, 3))
     z = draw(
         st.lists(st.lists(FIELDS, min_size=width, max_size=width), min_size=rows, max_size=rows)
@@ -120,7 +121,6 @@ ERRORS: dict[str, tuple[str, str, str]] = {
     "comma as point": ("3.25", "3;25", r"line 3, column tdoa_3: found '3;25'"),
     "underscore": ("1e3", "1_000", r"line 4, column tdoa_2: found '1_000'"),
     "other digits": ("1e3", "\N{ARABIC-INDIC DIGIT ONE}", r"line 4, column tdoa_2: found"),
-    "nan": ("-2.5", "nan", r"line 2, column tdoa_3: found 'nan', expected .* an empty field"),
     "infinite": ("-2.5", "-inf", r"line 2, column tdoa_3: found '-inf'"),
     "overflow": ("1e3", "1e400", r"line 4, column tdoa_2: found '1e400'"),
     "text in truth": ("11.0", "?", r"line 4, column truth_x: found '\?'"),
