@@ -56,7 +56,11 @@ def merged(
                 columns[name] = between(sheet.time, values, time, gap, name in angles)
     told = tuple(note for sheet in sheets for note in sheet.told)
     lines = np.arange(1, len(time) + 1)
-    return Sheet(measured[0].where, time, sheets[0].origin, columns, lines, told)
+    origin = sheets[0].origin
+    if origin is not None:  # seconds count from the first row's whole second
+        whole = float(np.floor(time[0]))
+        time, origin = time - whole, origin + whole
+    return Sheet(measured[0].where, time, origin, columns, lines, told)
 
 
 def _own(sheet: Sheet, channels: Sequence[str]) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ def raw(folder: Path) -> None:
     rows = []
     for k in range(60):
         t, (name, at) = 0.5 * k, list(anchors.items())[k % 3]
-        feet = np.hypot(30 + t - at[0], 40 - t / 2 - at[1]) / 0.3048
+        feet = math.hypot(30 + t - at[0], 40 - t / 2 - at[1]) / 0.3048
         rows.append(f"{1_600_000_000_250 + 500 * k},{name},{feet!r}")
     rows[10], rows[11] = rows[11], rows[10]
     rows.append(rows[-1])
