@@ -9,7 +9,6 @@ from typing import TypeVar
 from difffilter.engine.build import compiler
 from difffilter.engine.notice import tell
 from difffilter.errors import EngineError, InputError
-from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
 
 __all__ = ["ENGINES", "eager_seconds", "pick", "settled", "tell", "with_engine"]
@@ -21,10 +20,12 @@ ENOUGH = 0.1
 Result = TypeVar("Result")
 
 
-def eager_seconds(log: Rows, recipe: Recipe) -> float:
-    """About what torch takes to run a log, s: a formula, so that the choice is always the same."""
-    iterations = getattr(recipe, "iterations", 0)
-    return log.steps * (1e-3 + 3e-6 * log.trajectories) * float(1 + iterations)
+def eager_seconds(log: Rows) -> float:
+    """About what torch takes to run a log, s: a formula, so that the choice is always the same.
+
+    A filter's iterations are left out: they lengthen torch's time and the compiler's alike.
+    """
+    return log.steps * (1e-3 + 3e-6 * log.trajectories)
 
 
 def pick(engine: str, seconds: float) -> str:

@@ -15,7 +15,7 @@ from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 
-__all__ = ["ENGINES", "prepared", "run", "start_belief"]
+__all__ = ["ENGINES", "check_finite", "eager", "prepared", "run", "start_belief"]
 
 
 def start_belief(filter: Filter, constants: Values, start: Start) -> Belief:
@@ -71,15 +71,13 @@ def run(
         return Track(filter.states, filter.channels, log.time, *forward(job))
 
     def plain() -> Track:
-        return _eager(filter, constants, log, current, intervals, progress)
+        return eager(filter, constants, log, current, intervals, progress)
 
     given = (*constants.values(), log.z, current.mean, current.deviations)
     differentiable = torch.is_grad_enabled() and any(x.requires_grad for x in given)
     if differentiable and engine == "fused":
         raise InputError("engine fused: found values with gradient, expected none")
-    track = with_engine(
-        "torch" if differentiable else engine, fused, plain, eager_seconds(log, filter)
-    )
+    track = with_engine("torch" if differentiable else engine, fused, plain, eager_seconds(log))
     check_finite(track)
     return track
 
@@ -122,13 +120,13 @@ def prepared(
     return constants, current, log.intervals(at)
 
 
-def _eager(
+def eager(
     filter: Filter,
     constants: Values,
     log: Log,
     current: Belief,
     intervals: Tensor,
-    progress: bool,
+    progress: bool = False,
 ) -> Track:
     """The steps one after the other, by torch."""
     rows = log.z.movedim(-1, 1).contiguous().movedim(1, -1)  # trajectories last in memory
@@ -164,8 +162,12 @@ def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:
     return Belief(mean, start.deviations.expand(*lead, n, -1), start.memory)
 
 
-def check_finite(track: Track) -> None:
-    """Raise NonFiniteError at the first step whose belief or innovation is not finite."""
+def check_finite(track: Track, before: int = 0) -> None:
+    """Raise NonFiniteError at the first step whose belief or innovation is not finite.
+
+    Args:
+        before: steps that were done before the track's first.
+    """
     deviations = track.deviations.detach()
     checks: list[tuple[str, Tensor, tuple[str, ...]]] = [("mean", track.mean, track.states)]
     if not torch.isfinite(deviations.sum()):
@@ -178,7 +180,7 @@ def check_finite(track: Track) -> None:
         if bool(bad.any()):
             where = bad.reshape(bad.shape[0], -1, bad.shape[-1]).nonzero()[0].tolist()
             if worst is None or where[0] < worst[0]:
-                error = NonFiniteError(what, where[1], where[0], names[where[2]])
+                error = NonFiniteError(what, where[1], before + where[0], names[where[2]])
                 worst = (where[0], error)
     if worst is not None:
         raise worst[1]

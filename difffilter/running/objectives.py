@@ -173,7 +173,7 @@ def objective(
         ]  # fmt: skip
         return torch.cat(parts), [len(part) for part in parts]
 
-    seconds = 4.0 * eager_seconds(log, recipe)
+    seconds = 4.0 * eager_seconds(log)
     total, sizes = with_engine(problem.engine, fused, plain, seconds)
     split = torch.split(total if reduce is None else reduce(total), sizes)
     terms = {name: LOSSES[name].value(part) for name, part in zip(losses, split, strict=True)}

@@ -14,7 +14,10 @@ from difffilter.engine.choice import pick, tell
 from difffilter.errors import EngineError, InputError, NonFiniteError
 from difffilter.filters.filter import Filter
 from difffilter.filters.stepping import step
+from difffilter.logs.log import Log
+from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
+from difffilter.running.batch import check_finite, eager
 
 if TYPE_CHECKING:
     from difffilter.engine.streaming import Stream
@@ -146,6 +149,58 @@ class Tracker:
                     raise NonFiniteError(what, where[0], self.steps, name)
             self._belief, self.steps = after, self.steps + 1
             return record
+
+    def feed(
+        self,
+        z: Tensor,
+        dt: Tensor | Sequence[float],
+        inputs: Mapping[str, Tensor] | None = None,
+    ) -> Track:
+        """Many steps at once, as a recording is replayed; the same as one :meth:`step` per row.
+
+        Args:
+            z: (T, m) or (T, ..., m), NaN where a channel is missing.
+            dt: (T,) or (T, ...), seconds since the step before, 0 or more.
+            inputs: known inputs, (T, ...) each.
+
+        Returns:
+            Belief and record of each row; its times count from the last step.
+
+        Raises:
+            InputError, NonFiniteError: as for :meth:`step`; the belief stays as it was.
+        """
+        rows, interval = self._tensor(z), self._tensor(dt)
+        if not bool((interval >= 0).all()):
+            raise InputError("dt: found less than 0, expected 0 or more seconds")
+        known = {name: self._tensor(value) for name, value in (inputs or {}).items()}
+        self.filter.check_inputs(known)
+        log = Log(self.filter.channels, interval.cumsum(0), rows, inputs=known)
+        if not log.steps:
+            raise InputError("z: found no row, expected one or more")
+        expected = (*self._belief.mean.shape[:-1], len(self.filter.channels))
+        if rows.shape[1:] != expected:
+            raise InputError(f"z: found shape {list(rows.shape)}, expected {['T', *expected]}")
+        with torch.inference_mode():
+            track = self._replayed(log, interval)
+            check_finite(track, self.steps)
+            assert track.final is not None
+            self.belief, self.steps = track.final, self.steps + log.steps
+        return track
+
+    def _replayed(self, log: Log, interval: Tensor) -> Track:
+        from difffilter.engine.fused import Job, forward
+
+        current, recipe = self.belief, self.filter
+        if self._engine != "torch":
+            try:
+                found = forward(Job(recipe, self._constants, log, current, interval))
+            except EngineError as error:
+                if self._engine == "fused":
+                    raise
+                tell(error)
+            else:
+                return Track(recipe.states, recipe.channels, log.time, *found)
+        return eager(recipe, self._constants, log, current, interval)
 
     def _streamed(
         self,

@@ -310,7 +310,7 @@ class Descent:
     def _pick(self, engine: str) -> str:
         """The engine for all of this run: ``auto`` tries the compiled one on a few trajectories."""
         settings = self.settings
-        seconds = 5.0 * settings.starts * settings.steps * eager_seconds(self.check, self.filter)
+        seconds = 5.0 * settings.starts * settings.steps * eager_seconds(self.check)
         few = self.check.select(list(range(min(8, self.check.trajectories))))
         problem = Problem(
             self.filter,

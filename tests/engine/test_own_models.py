@@ -17,7 +17,7 @@ from difffilter.engine import notice, program
 from difffilter.engine.build import compiler
 from difffilter.engine.choice import eager_seconds, pick, settled
 from difffilter.engine.kernels import width_for
-from difffilter.errors import EngineError
+from difffilter.errors import EngineError, InputError
 from difffilter.sensors.position import PositionSensor
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
@@ -188,7 +188,28 @@ def test_the_choice_is_the_same_for_the_same_job(monkeypatch: pytest.MonkeyPatch
     def chosen(rows: int, trajectories: int) -> str:
         z = torch.zeros(rows, trajectories, 1, dtype=D)
         log = Log(filter.channels, torch.arange(rows, dtype=D), z)
-        return pick("auto", eager_seconds(log, filter))
+        return pick("auto", eager_seconds(log))
 
     assert chosen(100, 256) == "auto"  # to be compiled
     assert chosen(20, 1) == "torch"
+
+
+@pytest.mark.parametrize("engine", ["torch", "fused"])
+def test_fed_rows_are_the_same_as_steps(engine: str) -> None:
+    sensor = FunctionSensor(("r",), lambda s, i, v: s[..., :1], sigma=1.0)
+    filter = Filter(ConstantVelocity(), (sensor,))
+    one, many = (Tracker(filter, [0.0] * 4, torch.eye(4, dtype=D), engine=engine) for _ in "ab")
+    z = torch.linspace(0.0, 3.0, 8, dtype=D)[:, None]
+    z[3] = torch.nan
+    dt = torch.linspace(0.5, 1.5, 8, dtype=D)
+    records = [one.step(row, dt=float(d)) for row, d in zip(z, dt, strict=True)]
+    track = torch.cat([many.feed(z[:5], dt[:5]).mean, many.feed(z[5:], dt[5:]).mean])
+    torch.testing.assert_close(many.belief.mean, one.belief.mean, rtol=1e-12, atol=1e-12)
+    torch.testing.assert_close(track[-1], one.belief.mean, rtol=1e-12, atol=1e-12)
+    assert (many.steps, len(records)) == (8, 8)
+    before = many.belief.mean
+    with pytest.raises(InputError, match="dt: found less than 0"):
+        many.feed(z, -dt)
+    with pytest.raises(InputError, match="log: found 2 columns"):
+        many.feed(torch.zeros(3, 2, dtype=D), dt[:3])
+    assert torch.equal(many.belief.mean, before)
