@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -44,6 +45,7 @@ def add(commands: Commands) -> None:
         "--out", metavar="DIR_OR_FILE", required=True, help="folder, or a .csv for one trajectory"
     )
     parser.add_json()
+    parser.add_quiet()
     parser.set_defaults(command=command)
 
 
@@ -60,7 +62,13 @@ def command(args: Namespace) -> int:
     from difffilter.logs.logfile import write_log
     from difffilter.scenario.simulation import simulate
 
+    _check_memory(scenario, args.trajectories)
     log = simulate(scenario, args.trajectories, args.seed)
+    if log.truth is not None and not bool(log.truth.isfinite().all()):
+        raise InputError(
+            f"{scenario.name}: the simulated truth is not finite, expected a world of moderate "
+            "numbers (world.dt, world.position, world.velocity, world.acceleration)"
+        )
     folder = Path(args.out)
     files = [
         folder if single else folder / f"{scenario.name}-{args.seed}-{i:04d}.csv"
@@ -84,6 +92,21 @@ def command(args: Namespace) -> int:
         count = "1 log" if len(files) == 1 else f"{len(files)} logs"
         print(f"{scenario.name}: {count} of {log.steps} rows with truth in {args.out}")
     return 0
+
+
+def _check_memory(scenario: Scenario, trajectories: int) -> None:
+    """Raise InputError, before it is taken, for more memory than there is."""
+    if scenario.world is None:
+        return
+    numbers = 6 * scenario.axes + 12 * len(scenario.channels)  # at the peak, per row
+    needed = 8 * numbers * scenario.world.steps * trajectories
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > free:
+        raise InputError(
+            f"--trajectories {trajectories}: {scenario.world.steps} rows each need about "
+            f"{needed / 1e9:.3g} GB of memory, found {free / 1e9:.3g} GB free: expected fewer or "
+            "shorter trajectories, simulated in parts with seeds of their own"
+        )
 
 
 def _beyond(scenario: Scenario, log: Log) -> bool:

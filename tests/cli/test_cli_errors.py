@@ -56,7 +56,13 @@ ARGUMENTS = {
     "no steps": ("tune tiny.toml --steps 0", ["--steps", "'0'", "1 or more"]),
     "many logs in a file": ("simulate tiny.toml --out one.csv", ["one.csv", "100 trajectories"]),
     "more than memory": (
-        "simulate tiny.toml --out d --trajectories 99999999999", ["memory", "trajectories"],
+        "simulate tiny.toml --out d --trajectories 99999999999", ["GB of memory", "trajectories"],
+    ),
+    "far more than memory": (
+        f"simulate tiny.toml --out d --trajectories {10**22}", ["GB of memory", "trajectories"],
+    ),
+    "a world without end": (
+        "simulate tiny.toml --out d --trajectories 2 --set world.dt=1e308", ["world.dt"],
     ),
     "file as a folder": ("simulate tiny.toml --out log.csv/logs", ["log.csv"]),
     "recorded only": ("simulate uwb-ranges --out d", ["uwb-ranges", "[world]"]),
