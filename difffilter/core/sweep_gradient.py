@@ -33,7 +33,9 @@ class ChannelSweep(torch.autograd.Function):
     ) -> tuple[Tensor, ...]:
         """Run the sweep; keep the final table and what undoes each channel's update."""
         kept: list[ChannelUpdate] = []
-        conditioned, table = sweep(deviations, observed, innovation, weight, noise, kept, floor)
+        conditioned, table = sweep(
+            deviations, observed, innovation, weight, noise, kept=kept, floor=floor
+        )
         weight, noise = weight.movedim(-1, 0), noise.movedim(-1, 0)
         g, gain_rows, s, denominators = zip(*kept, strict=True)
         together = torch.stack(s), torch.stack(denominators)

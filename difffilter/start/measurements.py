@@ -98,7 +98,16 @@ def from_measurements(
         moving = log.z.new_tensor(list(velocity))
     unknown = _velocity_sigma(part, declared, velocity_sigma, moving)
     flat = flatten(log.only(part.channels))
-    problem = Fitter(part, constants, moving, unknown, rows, span, scale, iterations)
+    problem = Fitter(
+        part=part,
+        constants=constants,
+        velocity=moving,
+        velocity_sigma=unknown,
+        rows=rows,
+        span=span,
+        scale=scale,
+        iterations=iterations,
+    )
     fits = [
         problem.fit(flat.select(range(first, min(first + CHUNK, flat.trajectories))), first)
         for first in range(0, flat.trajectories, CHUNK)

@@ -45,8 +45,6 @@ LONG_CALLS: set[tuple[str, str]] = {
     ("difffilter/robust/weighing.py", "Record"),
     ("difffilter/running/batch.py", "Track"),
     ("difffilter/scoring/loss.py", "Loss"),
-    ("difffilter/start/measurements.py", "_locate"),
-    ("difffilter/start/measurements.py", "gauss_newton"),
     ("difffilter/tuning/descent.py", "self._descend"),
     ("difffilter/tuning/loop.py", "Descent"),
     ("difffilter/verdict/contests.py", "_course"),
