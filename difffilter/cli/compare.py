@@ -6,15 +6,15 @@ from argparse import Namespace
 from typing import TYPE_CHECKING, Any
 
 from difffilter.cli.logs import need_log, not_clairvoyant, read_logs
-from difffilter.cli.options import Commands, check_place, load_named, shows_progress, whole
+from difffilter.cli.options import Commands, check_place, load_case, shows_progress, whole
 from difffilter.cli.output import comparison_text, note
 from difffilter.cli.values import HELP, own_checkpoint, read_values, unfit
 from difffilter.errors import InputError
 from difffilter.files import json_text, write_atomically
 
 if TYPE_CHECKING:
+    from difffilter.scenario.case import Case
     from difffilter.scenario.checkpoint import Checkpoint
-    from difffilter.scenario.scenario import Scenario
 
 __all__ = ["add"]
 
@@ -40,7 +40,7 @@ def add(commands: Commands) -> None:
         "held-out trajectories.",
         example=EXAMPLE,
     )
-    parser.add_scenario()
+    parser.add_scenario(models=True)
     parser.add_argument(
         "--values",
         metavar="VALUES",
@@ -72,7 +72,7 @@ def command(args: Namespace) -> int:
         for option in ("trajectories", "seed"):
             if getattr(args, option) is not None:
                 raise InputError(f"--{option}: found beside --log, expected one of them")
-    scenario = load_named(args)
+    scenario = load_case(args)
     systems = _systems(scenario, args)
     values = _values(scenario, args.values, systems)
     log = read_logs(scenario, args.log)
@@ -105,13 +105,16 @@ def command(args: Namespace) -> int:
 
 def _worlds(
     args: Namespace,
-    scenario: Scenario,
+    scenario: Case,
     values: dict[str, Checkpoint | None],
     options: dict[str, Any],
 ) -> int:
     """Compare in every world, print, write."""
     from difffilter.comparison.worlds import compare_worlds
+    from difffilter.scenario.scenario import Scenario
 
+    if not isinstance(scenario, Scenario):
+        raise InputError(f"--worlds: found {scenario.name}, expected a scenario with [[worlds]]")
     found = compare_worlds(scenario, values, systems=tuple(args.system or ()), **options)
     as_json, text = json_text(found.as_dict()), found.markdown()
     if args.out:
@@ -121,7 +124,7 @@ def _worlds(
     return 0
 
 
-def _systems(scenario: Scenario, args: Namespace) -> tuple[str, ...]:
+def _systems(scenario: Case, args: Namespace) -> tuple[str, ...]:
     """The systems that were asked for; by default all that the data can serve."""
     for name in args.system or ():
         scenario.system(name)
@@ -133,7 +136,7 @@ def _systems(scenario: Scenario, args: Namespace) -> tuple[str, ...]:
 
 
 def _values(
-    scenario: Scenario, labels: list[str] | None, systems: tuple[str, ...]
+    scenario: Case, labels: list[str] | None, systems: tuple[str, ...]
 ) -> dict[str, Checkpoint | None]:
     """Checkpoints by label: those asked for must fit, the package's own one may."""
     if labels is None:

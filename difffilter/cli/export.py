@@ -42,6 +42,7 @@ def add(commands: Commands) -> None:
         help="coordinates in m that positions in C are relative to, one per axis: float has seven "
         "digits, too few for a national grid",
     )
+    parser.add_models()
     parser.set_defaults(command=command)
 
 

@@ -56,6 +56,10 @@ def _run(argv: Sequence[str] | None) -> int:
     _write_anything()
     try:
         args = _parser().parse_args(argv)
+        for path in getattr(args, "models", ()):
+            from difffilter.scenario.own import load_models
+
+            load_models(path)
         code: int = args.command(args)
         sys.stdout.flush()
     except SystemExit as stop:  # argparse: after --help, --version or a wrong option

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 from difffilter.errors import InputError, printable, shown
 
 if TYPE_CHECKING:
+    from difffilter.scenario.case import Case
     from difffilter.scenario.scenario import Scenario
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Parser",
     "Version",
     "check_place",
+    "load_case",
     "load_named",
     "named_weight",
     "overrides",
@@ -49,12 +51,27 @@ class Parser(ArgumentParser):
         line = printable(" ".join(message.split()))
         self.exit(2, f"difffilter: error: {line} (see {self.prog} --help)\n")
 
-    def add_scenario(self) -> None:
-        """SCENARIO and --set."""
+    def add_scenario(self, models: bool = False) -> None:
+        """SCENARIO and --set; with ``models`` --models, and SCENARIO may name a factory."""
+        more = "; or MODULE:FUNCTION of --models" if models else ""
         self.add_argument(
-            "scenario", metavar="SCENARIO", help="a name (see difffilter scenarios) or a .toml file"
+            "scenario",
+            metavar="SCENARIO",
+            help=f"a name (see difffilter scenarios) or a .toml file{more}",
         )
         self.add_set()
+        if models:
+            self.add_models()
+
+    def add_models(self) -> None:
+        """--models, repeatable."""
+        self.add_argument(
+            "--models",
+            metavar="FILE.py",
+            action="append",
+            default=[],
+            help="Python file with models of your own: it is run (repeatable)",
+        )
 
     def add_set(self) -> None:
         """--set, repeatable."""
@@ -150,9 +167,23 @@ def load_named(args: Namespace, more: dict[str, Any] | None = None) -> Scenario:
     return _over_runs(load_scenario(args.scenario, changes), changes)
 
 
-def with_overrides(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
-    """A loaded scenario with --set applied."""
-    return _over_runs(scenario.with_overrides(changes), changes) if changes else scenario
+def load_case(args: Namespace, more: dict[str, Any] | None = None) -> Case:
+    """The scenario that the arguments name, or the model of a factory MODULE:FUNCTION."""
+    if ":" not in args.scenario or args.scenario.endswith(".toml"):
+        return load_named(args, more)
+    from difffilter.scenario.own import made
+
+    return made(args.scenario).with_overrides(overrides(args) | (more or {}))
+
+
+def with_overrides(scenario: Case, changes: dict[str, Any]) -> Case:
+    """A loaded scenario or model with --set applied."""
+    from difffilter.scenario.scenario import Scenario
+
+    if not changes:
+        return scenario
+    changed = scenario.with_overrides(changes)
+    return _over_runs(changed, changes) if isinstance(changed, Scenario) else changed
 
 
 def _over_runs(scenario: Scenario, changes: dict[str, Any]) -> Scenario:

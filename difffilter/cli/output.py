@@ -11,7 +11,7 @@ from difffilter.files import json_text
 
 if TYPE_CHECKING:
     from difffilter.comparison.comparison import Comparison
-    from difffilter.scenario.scenario import Scenario
+    from difffilter.scenario.case import Case
 
 __all__ = ["comparison_text", "note", "number", "print_json", "table"]
 
@@ -43,7 +43,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str = "  "
     )
 
 
-def comparison_text(comparison: Comparison, scenario: Scenario) -> str:
+def comparison_text(comparison: Comparison, scenario: Case) -> str:
     """The comparison's table, and what its reference and its bound are."""
     system, values = comparison.reference.rsplit(" ", 1)
     legend = f"Ratios: RMSE divided by that of {system} with {values} values, same trajectories."

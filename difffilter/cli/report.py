@@ -45,6 +45,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--train", metavar="FILE", nargs="+", help="recorded logs tuned on, for the contest"
     )
+    parser.add_models()
     parser.add_quiet()
     parser.add_argument("--out", metavar="FOLDER", default="report", help="folder (report)")
     parser.add_engine()

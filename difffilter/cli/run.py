@@ -11,7 +11,7 @@ from difffilter.cli.logs import not_clairvoyant, note_missing_run
 from difffilter.cli.options import (
     Commands,
     check_place,
-    load_named,
+    load_case,
     overrides,
     shows_progress,
     with_overrides,
@@ -23,8 +23,8 @@ from difffilter.errors import InputError, shown
 if TYPE_CHECKING:
     from difffilter.logs.log import Log
     from difffilter.logs.track import Track
+    from difffilter.scenario.case import Case
     from difffilter.scenario.checkpoint import Checkpoint
-    from difffilter.scenario.scenario import Scenario
 
 __all__ = ["add"]
 
@@ -48,7 +48,9 @@ def add(commands: Commands) -> None:
         example=EXAMPLE,
     )
     parser.add_argument(
-        "source", metavar="CHECKPOINT_OR_SCENARIO", help="a .json checkpoint; a name or .toml file"
+        "source",
+        metavar="CHECKPOINT_OR_SCENARIO",
+        help="a .json checkpoint; a name or .toml file; MODULE:FUNCTION of --models",
     )
     parser.add_argument("log", metavar="LOG.csv", help="time, the channels, truth_<state> or not")
     parser.add_argument(
@@ -59,6 +61,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", metavar="FILE", required=True, help="CSV of estimates to write")
     parser.add_argument("--plot", metavar="FILE", help="figure to write, PNG and SVG")
     parser.add_set()
+    parser.add_models()
     parser.add_engine()
     parser.add_json()
     parser.add_quiet()
@@ -69,7 +72,7 @@ def add(commands: Commands) -> None:
 class Job:
     """What to run: a system of a scenario with values (None: the published ones)."""
 
-    scenario: Scenario
+    scenario: Case
     system: str
     label: str
     values: Checkpoint | None
@@ -88,11 +91,16 @@ def command(args: Namespace) -> int:
     from difffilter.logs.log import stack_logs
     from difffilter.scenario.estimation import estimate, started
     from difffilter.scenario.recorded import read_run
+    from difffilter.scenario.scenario import Scenario
+    from difffilter.scenario.sources import as_log
 
-    read = read_run(job.scenario, args.log)
-    log = stack_logs([read.log])
-    for line in read.told:
-        note(line)
+    if isinstance(job.scenario, Scenario):
+        read = read_run(job.scenario, args.log)
+        log = stack_logs([read.log])
+        for line in read.told:
+            note(line)
+    else:
+        log = as_log(job.scenario, [args.log])
     system = job.scenario.system(job.system)
     frozen = job.values.values if job.values else None
     temperature = job.values.temperature if job.values else None
@@ -101,7 +109,8 @@ def command(args: Namespace) -> int:
     track = estimate(
         system, ready, frozen, temperature=temperature, progress=progress, engine=args.engine
     )
-    note_missing_run(chosen.scenario, _run_name(args))
+    if isinstance(chosen.scenario, Scenario):
+        note_missing_run(chosen.scenario, _run_name(args))
     result = summary(log, track, job.scenario.score)
     if args.plot:
         _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, values {job.label}")
@@ -132,7 +141,7 @@ def _job(args: Namespace) -> Job:
                 raise InputError(f"--set {key}: the values are frozen, expected --values published")
     else:
         args.scenario = args.source
-        scenario = load_named(args)
+        scenario = load_case(args)
         label = args.values or "published"
         held = read_values(label, scenario)
         own = held.system if held else scenario.tuning.system
@@ -148,8 +157,15 @@ def _job(args: Namespace) -> Job:
 def _of_run(job: Job, args: Namespace) -> Job:
     """The job with the geometry of the log's run."""
     from difffilter.scenario.recorded import scenario_of_run
+    from difffilter.scenario.scenario import Scenario
 
     scenario = job.scenario
+    if not isinstance(scenario, Scenario):
+        if args.run:
+            raise InputError(
+                f"--run: found {args.run!r:.80}, expected none: {scenario.name} has none"
+            )
+        return job
     if args.run and args.run not in scenario.runs:
         expected = f"one of {', '.join(scenario.runs)}" if scenario.runs else "none: it has no runs"
         raise InputError(f"--run: found {shown(args.run)}, expected {expected}")

@@ -15,7 +15,7 @@ from difffilter.cli.logs import need_log, not_clairvoyant, read_logs
 from difffilter.cli.options import (
     Commands,
     check_place,
-    load_named,
+    load_case,
     named_weight,
     shows_progress,
     whole,
@@ -49,16 +49,24 @@ def add(commands: Commands) -> None:
         "compare it with the published values on held-out data.",
         example=EXAMPLE,
     )
-    parser.add_scenario()
+    parser.add_scenario(models=True)
     parser.add_argument(
         "--log", metavar="FILE", nargs="+", help="recorded logs to train on, instead of simulation"
     )
+    parser.add_argument(
+        "--validation-log", metavar="FILE", nargs="+",
+        help="recorded logs that choose among the steps (a part of --log that is held back)",
+    )  # fmt: skip
     parser.add_argument("--test-log", metavar="FILE", nargs="+", help="recorded logs to test on")
     parser.add_argument("--trajectories", type=whole(1), help="simulated ones to train on")
     parser.add_seed(0, "of everything random")
     parser.add_argument("--steps", type=whole(1), help="gradient steps at most, per start")
     parser.add_argument("--starts", type=whole(1), help="starts; the first: published values")
     parser.add_argument("--system", metavar="NAME", help="default: the scenario's")
+    parser.add_argument(
+        "--tuned", metavar="NAME", action="append",
+        help="a parameter to tune, or a pattern, in place of those declared so (repeatable)",
+    )  # fmt: skip
     parser.add_argument(
         "--loss",
         metavar="NAME=WEIGHT",
@@ -80,10 +88,11 @@ def command(args: Namespace) -> int:
     check_place(args.out, (".json",))
     if args.log and args.trajectories is not None:
         raise InputError("--trajectories: found beside --log, expected one of them")
-    scenario = load_named(args, _settings(args))
+    scenario = load_case(args, _settings(args))
     out = args.out or f"runs/{scenario.name}.json"
     check_place(out)
     log, test = read_logs(scenario, args.log), read_logs(scenario, args.test_log)
+    validation = read_logs(scenario, args.validation_log)
     need_log(scenario, log)
     if log is not None:
         not_clairvoyant(scenario, scenario.tuning.system)
@@ -95,7 +104,9 @@ def command(args: Namespace) -> int:
         result = tune(
             scenario,
             seed=args.seed,
-            log=log,
+            train=log,
+            validation=validation,
+            tuned=args.tuned,
             test=test,
             out=out,
             tensorboard=args.tensorboard,
@@ -174,25 +185,41 @@ def _data(result: TuneResult, out: str, seed: int) -> dict[str, Any]:
     }
 
 
-def _error(entry: str, errors: Mapping[str, float | None]) -> str:
+def _error(entry: str, training: Mapping[str, Any]) -> str:
     """A standard error; "free" where the data do not determine the value."""
+    errors: Mapping[str, float | None] = training.get("standard_errors", {})
     if entry not in errors:
         return ""
     value = errors[entry]
-    return "free" if value is None else number(value)
+    if value is not None:
+        return number(value)
+    told = [line for line in training.get("undetermined", ()) if "the data" in line]
+    return "free" if any(entry in line for line in told) else "unknown"
+
+
+def _ended(training: Mapping[str, Any]) -> list[str]:
+    """What is to be known of how the tuning ended, and of what chose among its steps."""
+    lines = [f"warning: {line}" for line in training.get("undetermined", ())]
+    end = training.get("end")
+    if end in ("steps", "runs"):
+        cap = "steps" if end == "steps" else "filter runs"
+        limit = training["settings"][end]
+        lines.append(f"warning: ended at its cap of {limit:g} {cap}, before it converged")
+    if "validation" in training:
+        lines.append(f"validated on what was {training['validation']}")
+    return lines
 
 
 def _text(result: TuneResult, out: str) -> str:
     checkpoint = result.checkpoint
-    errors = checkpoint.training.get("standard_errors", {})
     rows = (
-        [entry, number(old), "->", number(new), _error(entry, errors), unit]
+        [entry, number(old), "->", number(new), _error(entry, checkpoint.training), unit]
         for entry, old, new, unit in _entries(checkpoint)
     )
     title = f"{checkpoint.scenario.name}, {checkpoint.system}"
     head = ["parameter", "before", "", "after", "standard error", "unit"]
     lines = [f"{title}: tuned values", table(head, rows)]
-    lines += [f"warning: {line}" for line in checkpoint.training.get("undetermined", ())]
+    lines += _ended(checkpoint.training)
     if checkpoint.training["step"] == 0 and checkpoint.training["start"] == 0:
         lines.append("Nothing beat the published values on the validation data; they are kept.")
     if result.held_out is None:

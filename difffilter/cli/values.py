@@ -9,20 +9,20 @@ from difffilter.errors import InputError, shown
 from difffilter.files import data_folder
 
 if TYPE_CHECKING:
+    from difffilter.scenario.case import Case
     from difffilter.scenario.checkpoint import Checkpoint
-    from difffilter.scenario.scenario import Scenario
 
 __all__ = ["HELP", "own_checkpoint", "read_values", "unfit"]
 
 HELP = "published, tuned (the package's own) or a checkpoint file"
 
 
-def own_checkpoint(scenario: Scenario) -> Path:
+def own_checkpoint(scenario: Case) -> Path:
     """Where the package keeps its tuned values of a scenario, if it has any."""
     return data_folder("checkpoints") / f"{scenario.name}.json"
 
 
-def read_values(label: str, scenario: Scenario) -> Checkpoint | None:
+def read_values(label: str, scenario: Case) -> Checkpoint | None:
     """The checkpoint behind a label; None for the published values."""
     from difffilter.scenario.checkpoint import load
 
@@ -41,7 +41,7 @@ def read_values(label: str, scenario: Scenario) -> Checkpoint | None:
     return load(label)
 
 
-def unfit(checkpoint: Checkpoint, scenario: Scenario, system: str) -> str:
+def unfit(checkpoint: Checkpoint, scenario: Case, system: str) -> str:
     """Why a checkpoint's values do not fit a system of the scenario; "" where they do."""
     if checkpoint.system != system:
         return f"tuned for system {checkpoint.system}, expected {system}"

@@ -11,15 +11,18 @@ from tqdm import tqdm
 
 from difffilter.comparison.table import Comparison, Row, tabulate
 from difffilter.errors import InputError
+from difffilter.filters.filter import Filter
 from difffilter.logs.family import Starter
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.build import System
+from difffilter.scenario.case import Case
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.estimation import estimate, started
-from difffilter.scenario.scenario import Scenario
+from difffilter.scenario.model import as_case
 from difffilter.scenario.simulation import simulate
+from difffilter.scenario.sources import Logs, as_log
 
 __all__ = ["Comparison", "Contestant", "Row", "compare", "contestants", "run_all"]
 
@@ -42,12 +45,12 @@ class Contestant(NamedTuple):
 
 
 def compare(
-    scenario: Scenario,
+    scenario: Case | Filter,
     values: Mapping[str, Checkpoint | None] | None = None,
     trajectories: int = 200,
     seed: int = 1,
     *,
-    log: Log | None = None,
+    log: Logs | None = None,
     systems: tuple[str, ...] = (),
     progress: bool = False,
     engine: str = "auto",
@@ -68,8 +71,11 @@ def compare(
         InputError: a checkpoint of a system or with parameters that this scenario has not,
             a log without truth.
     """
+    scenario = as_case(scenario)
     chosen = contestants(scenario, {"published": None} if values is None else values, systems)
-    held_out = simulate(scenario, trajectories, seed, "test") if log is None else log
+    held_out = (
+        simulate(scenario, trajectories, seed, "test") if log is None else as_log(scenario, log)
+    )
     if held_out.truth is None:
         raise InputError("compare: needs truth columns in the logs, found none")
     bar = tqdm(chosen, desc="compare", unit="system", delay=2.0, disable=not progress)
@@ -99,7 +105,7 @@ def run_all(
 
 
 def contestants(
-    scenario: Scenario, values: Mapping[str, Checkpoint | None], systems: tuple[str, ...]
+    scenario: Case, values: Mapping[str, Checkpoint | None], systems: tuple[str, ...]
 ) -> list[Contestant]:
     """Every system with published values, and every checkpoint's system with its own.
 

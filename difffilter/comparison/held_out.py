@@ -16,8 +16,8 @@ from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
+from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import estimate, started
-from difffilter.scenario.scenario import Scenario
 from difffilter.scoring.metrics import mean_nees, paired_ratio, position_error, scored_rows
 
 __all__ = ["HeldOut", "Outcome"]
@@ -58,7 +58,7 @@ class HeldOut:
         engine: as for :func:`difffilter.run`.
     """
 
-    scenario: Scenario
+    scenario: Case
     filter: Filter
     log: Log
     temperature: float | None = None

@@ -31,7 +31,7 @@ def about(checkpoint: Checkpoint) -> str:
     options = [
         f"{key} {value if isinstance(value, str) else ', '.join(value)}"
         for key in ("weight", "standardise", "gate", "recovery", "adaptation", "fusion")
-        for value in [spec.options[key]]
+        for value in [spec.options.get(key)]
         if value and value not in ("none", "plain")
     ]
     if filter.iterations:

@@ -18,7 +18,10 @@ from difffilter.filters.filter import Filter
 from difffilter.parameters.parameters import Number
 from difffilter.provenance import git_commit, library_versions
 from difffilter.running.tracker import Tracker
-from difffilter.scenario.scenario import Scenario, read_scenario
+from difffilter.scenario.case import Case
+from difffilter.scenario.model import Model
+from difffilter.scenario.own import model_of
+from difffilter.scenario.scenario import read_scenario
 
 __all__ = ["FORMAT", "VERSION", "Checkpoint", "load", "save"]
 
@@ -53,7 +56,9 @@ class Checkpoint:
     """A system with frozen values.
 
     Attributes:
-        scenario: validated; its document is stored whole, so that the file stands alone.
+        scenario: validated; its document is stored whole, so that the file stands alone. Of a
+            model made in Python, name, factory and digest are stored, and whoever loads brings
+            the recipe.
         system: name of the system.
         values: frozen physical value of every parameter, by name.
         temperature: None for the hard form; else the temperature of the soft one.
@@ -61,7 +66,7 @@ class Checkpoint:
         result: the held-out comparison made after tuning.
     """
 
-    scenario: Scenario
+    scenario: Case
     system: str
     values: Mapping[str, Tensor]
     temperature: float | None = None
@@ -103,7 +108,8 @@ class Checkpoint:
     def as_dict(self) -> dict[str, Any]:
         """What the JSON file holds."""
         declarations = self.published_filter.declarations
-        spec = self.scenario.systems[self.system]
+        spec, own = self.scenario.systems[self.system], isinstance(self.scenario, Model)
+        document = dict(self.scenario.document)
         return {
             "format": FORMAT,
             "version": VERSION,
@@ -125,7 +131,7 @@ class Checkpoint:
             "result": dict(self.result),
             "versions": library_versions(),
             "git_commit": git_commit(),
-            "document": dict(self.scenario.document),
+            "document": {"model": document} if own else document,
         }
 
 
@@ -142,8 +148,12 @@ def save(checkpoint: Checkpoint, path: str | Path) -> None:
     write_atomically(path, json_text(checkpoint.as_dict()) + "\n")
 
 
-def load(path: str | Path) -> Checkpoint:
-    """Read a checkpoint; everything in it is checked.
+def load(path: str | Path, recipe: Filter | Model | None = None) -> Checkpoint:
+    """Read a checkpoint; everything in it is checked, and nothing is imported.
+
+    Args:
+        path: the JSON file.
+        recipe: of a model made in Python: what its factory makes.
 
     Raises:
         CheckpointError: no such file, truncated or malformed JSON, another format or
@@ -169,10 +179,7 @@ def load(path: str | Path) -> Checkpoint:
     temperature = data["temperature"]
     if temperature is not None and not temperature > 0:
         fail("temperature", temperature, "null or a number above 0")
-    try:
-        scenario = read_scenario(data["document"], Path(f"{path} (document)"))
-    except InputError as error:
-        raise CheckpointError(str(error)) from None
+    scenario = _case(path, data, recipe)
     try:
         system = scenario.system(data["system"])
     except InputError as error:
@@ -197,6 +204,22 @@ def load(path: str | Path) -> Checkpoint:
         if data["recipe"][key] != expected[key]:
             fail(f"recipe.{key}", data["recipe"][key], repr(expected[key]))
     return checkpoint
+
+
+def _case(path: Path, data: dict[str, Any], recipe: Filter | Model | None) -> Case:
+    """The scenario of the stored document, or the model that it names."""
+    document = data["document"]
+    own = document.get("model")
+    if isinstance(own, dict):
+        entries = data["parameters"].items()
+        tuned = [n for n, entry in entries if isinstance(entry, dict) and entry.get("tuned")]
+        return model_of(path, own, recipe, tuned)
+    if recipe is not None:
+        raise CheckpointError(f"{path}: holds a scenario of its own, expected no recipe")
+    try:
+        return read_scenario(document, Path(f"{path} (document)"))
+    except InputError as error:
+        raise CheckpointError(str(error)) from None
 
 
 def _read_values(path: Path, entries: dict[str, Any], system: Filter) -> dict[str, Tensor]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import torch
 
@@ -12,14 +11,14 @@ from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
+from difffilter.scenario.build import System
+from difffilter.scenario.case import Case
+from difffilter.scenario.model import Model
+from difffilter.scenario.scenario import Scenario
 from difffilter.sensors.position import PositionSensor
 from difffilter.start.bearings import from_bearings
 from difffilter.start.known import at_position, from_truth
 from difffilter.start.measurements import from_measurements
-
-if TYPE_CHECKING:
-    from difffilter.scenario.build import System
-    from difffilter.scenario.scenario import Scenario
 
 __all__ = ["estimate", "lean", "started"]
 
@@ -34,7 +33,7 @@ def lean(filter: Filter, log: Log) -> Filter:
     return filter.centralised if built_in and tame else filter
 
 
-def started(scenario: Scenario, system: System, log: Log, values: Values | None = None) -> Log:
+def started(scenario: Case, system: System, log: Log, values: Values | None = None) -> Log:
     """The log with a start: its own, else the one that the scenario's ``[start]`` says.
 
     ``bearings`` crosses the first bearings; in a simulated world the start is then one time
@@ -43,7 +42,7 @@ def started(scenario: Scenario, system: System, log: Log, values: Values | None 
     first measurements (also recorded logs of a simulated world's scenario).
 
     Args:
-        scenario: its ``[start]`` says how.
+        scenario: its ``[start]`` says how; a model by itself.
         system: a filter or a baseline; the log keeps its channels.
         log: z (T, m) or (T, B, m).
         values: of the system's parameters, the published ones if missing.
@@ -52,8 +51,11 @@ def started(scenario: Scenario, system: System, log: Log, values: Values | None 
         InputError: a trajectory, named, whose first measurements determine no position.
     """
     log = log.only(system.channels)
+    if isinstance(scenario, Model):
+        return scenario.started(log, values)
     if log.start is not None:
         return log
+    assert isinstance(scenario, Scenario)
     return replace(log, start=_start(scenario, system, log, values))
 
 

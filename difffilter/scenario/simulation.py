@@ -6,6 +6,8 @@ import torch
 
 from difffilter.errors import InputError, shown
 from difffilter.logs.log import Log, Start
+from difffilter.scenario.case import Case
+from difffilter.scenario.model import Model
 from difffilter.scenario.pooling import pooled
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.table import LARGEST
@@ -14,16 +16,14 @@ from difffilter.seeds import stream
 __all__ = ["simulate"]
 
 
-def simulate(
-    scenario: Scenario, trajectories: int = 100, seed: int = 0, purpose: str = "log"
-) -> Log:
+def simulate(scenario: Case, trajectories: int = 100, seed: int = 0, purpose: str = "log") -> Log:
     """Draw trajectories, measurements, faults and starts.
 
     Row k of the log (from 0) is step k + 1 of the world, at time (k + 1) dt: the prescribed
     start is at time 0 and has no measurement.
 
     Args:
-        scenario: with a world.
+        scenario: with a world, or a model with ``simulate``.
         trajectories: how many, B.
         seed, purpose: the same pair gives the same log; different purposes are disjoint.
 
@@ -42,13 +42,16 @@ def simulate(
         >>> simulate(load_scenario("airport-mlat"), trajectories=3, seed=7).z.shape
         torch.Size([100, 3, 7])
     """
-    world = scenario.world
-    if world is None:
-        raise InputError(f"{scenario.name}: has no [world] to simulate, expected recorded logs")
     if trajectories < 1:
         raise InputError(f"trajectories: found {trajectories}, expected 1 or more")
     if trajectories > LARGEST:
         raise InputError(f"trajectories: found {shown(trajectories)}, expected {LARGEST} at most")
+    if isinstance(scenario, Model):
+        return scenario.simulated(trajectories, seed, purpose)
+    assert isinstance(scenario, Scenario)
+    world = scenario.world
+    if world is None:
+        raise InputError(f"{scenario.name}: has no [world] to simulate, expected recorded logs")
     path = world.simulate(trajectories, stream(seed, purpose, "truth"))
     truth = path[1:]
     inputs = {}

@@ -15,7 +15,7 @@ from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run, start_belief
 from difffilter.seeds import stream
 
-__all__ = ["Batch", "Trajectories", "Windows", "shuffled"]
+__all__ = ["Batch", "Trajectories", "Windows", "blank", "concatenate", "shuffled"]
 
 
 @dataclass(frozen=True)
@@ -80,18 +80,18 @@ class Windows:
         # One time for all trajectories to one for each: windows stand beside each other.
         time = self.log.time.reshape(self.log.steps, -1).expand(self.log.z.shape[:2])
         log = replace(self.log, time=time)
-        before = _blank(log.rows(0, 1))
+        before = blank(log.rows(0, 1))
         if self.start.time is not None:
             before = replace(before, time=torch.full_like(before.time, self.start.time))
-        log = _concatenate([before, log])
+        log = concatenate([before, log])
         missing = -(log.steps - 1) % self.rows
-        tail = _blank(log.rows(log.steps - 1, log.steps))
-        self.padded = _concatenate([log, *[tail] * missing])
+        tail = blank(log.rows(log.steps - 1, log.steps))
+        self.padded = concatenate([log, *[tail] * missing])
         self.edges = range(0, self.padded.steps - 1, self.rows)
         parts = [self.padded.rows(at, at + self.rows + 1) for at in self.edges]
-        cut = _concatenate(
+        cut = concatenate(
             [
-                _beside([_blank(p.rows(0, 1)) for p in parts]),
+                _beside([blank(p.rows(0, 1)) for p in parts]),
                 _beside([p.rows(1, p.steps) for p in parts]),
             ]
         )
@@ -119,7 +119,7 @@ class Windows:
             for at in self.edges:
                 beliefs.append(current)
                 part = self.padded.rows(at, at + self.rows + 1)
-                part = _concatenate([_blank(part.rows(0, 1)), part.rows(1, part.steps)])
+                part = concatenate([blank(part.rows(0, 1)), part.rows(1, part.steps)])
                 final = run(filter, part, frozen, current, engine=self.engine).final
                 assert final is not None
                 current = final
@@ -157,13 +157,13 @@ class Windows:
         return Batch(self.cut.select(at), belief)
 
 
-def _blank(log: Log) -> Log:
+def blank(log: Log) -> Log:
     """The same rows without measurement and truth."""
     truth = None if log.truth is None else torch.full_like(log.truth, torch.nan)
     return replace(log, z=torch.full_like(log.z, torch.nan), truth=truth, start=None)
 
 
-def _concatenate(parts: list[Log]) -> Log:
+def concatenate(parts: list[Log]) -> Log:
     """Rows after rows."""
     return _combine(parts, 0)
 

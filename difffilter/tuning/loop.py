@@ -1,9 +1,10 @@
-"""Tune a system of a scenario, freeze it, and compare it on held-out data."""
+"""Tune the recipe of a scenario or a model, freeze it, and compare it on held-out data."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,18 @@ from difffilter.comparison.comparison import Comparison, compare
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log
+from difffilter.scenario.case import Case
 from difffilter.scenario.checkpoint import Checkpoint, save
-from difffilter.scenario.scenario import Scenario
+from difffilter.scenario.model import Model, Simulator, as_case
 from difffilter.scenario.settings import TuneSettings
+from difffilter.scenario.sources import Logs, as_log
 from difffilter.tuning.board import Board
-from difffilter.tuning.descent import Descent
+from difffilter.tuning.descent import descend
+from difffilter.tuning.history import Course, Entry
 from difffilter.tuning.processes import ranks
-from difffilter.tuning.state import state_path
+from difffilter.tuning.select import with_tuned
+from difffilter.tuning.state import only_run, state_path
+from difffilter.tuning.task import Task
 
 __all__ = ["TuneResult", "tune"]
 
@@ -36,25 +42,28 @@ class TuneResult:
     """
 
     checkpoint: Checkpoint
-    history: list[dict[str, Any]]
+    history: tuple[Entry, ...]
     held_out: Comparison | None
     first: bool = True
 
 
 def tune(
-    scenario: Scenario,
+    case: Case | Filter,
+    train: Logs | Simulator | None = None,
     *,
-    seed: int = 0,
-    log: Log | None = None,
-    test: Log | None = None,
+    validation: Logs | None = None,
+    test: Logs | None = None,
+    tuned: Sequence[str] | None = None,
+    loss: Mapping[str, float] | None = None,
     settings: Mapping[str, Any] | TuneSettings | None = None,
+    seed: int = 0,
     out: str | Path | None = None,
     tensorboard: str | Path | None = None,
     resume: bool = False,
     progress: bool = False,
     engine: str = "auto",
 ) -> TuneResult:
-    """Tune a system's parameters by gradient, freeze them and compare on held-out data.
+    """Tune a filter's parameters by gradient, freeze them and compare on held-out data.
 
     Started by ``torchrun``, each process runs its share of the trajectories; the first one
     alone writes files and compares.
@@ -64,100 +73,151 @@ def tune(
     nothing beats them there).
 
     Args:
-        scenario: names the system, the parameters to tune, the loss.
+        case: a scenario, a model, or a filter by itself.
+        train: recorded logs to train on, in windows with warm starts: a :class:`Log`, a file, or
+            a list of either; or a function ``simulate(seed, count)`` that draws logs. Without:
+            trajectories that the scenario or the model simulates.
+        validation: logs that choose among the steps; of recorded ones to train on a part is held
+            back where there are none (the checkpoint says which).
+        test: logs to compare on; simulated trajectories where they can be drawn.
+        tuned: names or patterns of the parameters to tune, in place of those declared so.
+        loss: weight of each loss by name, in place of that of the settings.
+        settings: a whole TuneSettings, or some of its fields, over the case's own.
         seed: of everything random; same seed, same machine, same result.
-        log: recorded logs to train on (windows with warm starts) in place of simulated
-            trajectories. They also validate: whole runs of the frozen form.
-        test: recorded logs to test on; simulated trajectories where there is a world.
-        settings: a whole TuneSettings, or some of its fields, over the scenario's own.
         out: where to write the checkpoint; its resumable state stands beside it.
         tensorboard: folder for TensorBoard's files.
         resume: go on from the state beside ``out``; the result is as if uninterrupted.
+        progress: show a bar if it takes over two seconds.
         engine: ``torch``, ``fused`` or ``auto``, as for :func:`difffilter.run`.
 
     Raises:
         InputError: nothing to tune, a loss that needs truth without truth, resume without
-            ``out``; CheckpointError: a state that is damaged or of another run.
+            ``out``, another run that writes ``out``; CheckpointError: a state that is damaged or
+            of another run.
         NonFiniteError: a belief or a gradient turned non-finite; names where.
     """
-    scenario = _with_settings(scenario, settings)
-    chosen = scenario.tuning
-    system = scenario.system(chosen.system)
-    if not isinstance(system, Filter):
-        raise InputError(f"tune: system {chosen.system} is a baseline, expected a filter")
-    if not any(p.tuned for p in system.declarations.values()):
-        raise InputError(f"tune: no parameter of {chosen.system} has tuned = true")
+    case, logs = _sources(as_case(case), train)
+    case = _with_settings(case, settings, loss)
+    case = case if tuned is None else with_tuned(case, tuned)
+    recipe = _tunable(case)
+    given = {"train": logs, "validation": validation, "test": test}
+    read = {name: None if x is None else as_log(case, x) for name, x in given.items()}
     among = ranks()
-    job = Descent(scenario, system, chosen, seed, log, engine, among)
-    board = Board(tensorboard if among.first else None)
-    try:
-        best, history = job.search(
-            None if out is None else state_path(out), resume, board, progress
+    alone = only_run(state_path(out)) if out is not None and among.first else nullcontext()
+    with alone:
+        task = Task(
+            case,
+            recipe,
+            case.tuning,
+            seed=seed,
+            train=read["train"],
+            validation=read["validation"],
+            asked=engine,
+            ranks=among,
         )
+        course, training = _search(task, out, tensorboard, resume, progress)
+        among.meet()
+        checkpoint = Checkpoint(case, case.tuning.system, course.best.values, None, training)
+        if not among.first:
+            return TuneResult(checkpoint, course.entries, None, first=False)
+        if out is not None:  # before the comparison: what was tuned is not lost if that fails
+            save(checkpoint, out)
+        held_out = _held_out(checkpoint, seed, read["test"], progress, engine)
+        if held_out is not None:
+            checkpoint = replace(checkpoint, result=held_out.as_dict())
+        if out is not None:
+            save(checkpoint, out)
+            state_path(out).unlink(missing_ok=True)
+    return TuneResult(checkpoint, course.entries, held_out)
+
+
+def _search(
+    task: Task,
+    out: str | Path | None,
+    tensorboard: str | Path | None,
+    resume: bool,
+    progress: bool,
+) -> tuple[Course, dict[str, Any]]:
+    """All steps, and what the checkpoint tells of them."""
+    board = Board(tensorboard if task.ranks.first else None)
+    try:
+        state = None if out is None else state_path(out)
+        course = descend(task, state, resume, board, progress)
     finally:
         board.close()
+    settings, best = task.settings, course.best
+    drawn = f"{settings.trajectories} simulated"
     training = {
-        "loss": dict(chosen.loss),
-        "seed": seed,
-        "engine": job.engine,
-        "optimiser": job.optimiser,
-        "settings": json.loads(json.dumps(asdict(chosen))),
-        "data": list(log.names) if log is not None else f"{chosen.trajectories} simulated",
-        "validation_loss": best["loss"],
-        "validation_loss_published": history[0]["validation"],
-        "step": best["step"],
-        "start": best["start"],
+        "loss": dict(settings.loss),
+        "seed": task.seed,
+        "engine": task.engine,
+        "optimiser": task.optimiser,
+        "settings": json.loads(json.dumps(asdict(settings))),
+        "data": drawn if task.train is None else list(task.train.names),
+        "validation_loss": best.loss,
+        "validation_loss_published": course.entries[0].validation,
+        "step": best.step,
+        "start": best.start,
+        "end": course.end,
     }
-    known = job.certainty(best["values"])
+    if task.check.told:
+        training["validation"] = task.check.told
+    known = task.certainty(best.values, course.end in ("steps", "runs"))
     if known is not None:
         training["standard_errors"] = known.errors
         training["undetermined"] = list(known.free)
-    checkpoint = Checkpoint(scenario, chosen.system, best["values"], None, training)
-    if not among.first:
-        return TuneResult(checkpoint, history, None, first=False)
-    if out is not None:  # before the comparison: what was tuned is not lost if that fails
-        save(checkpoint, out)
-    held_out = _held_out(checkpoint, chosen, seed, test, progress, engine)
-    if held_out is not None:
-        checkpoint = replace(checkpoint, result=held_out.as_dict())
-    if out is not None:
-        save(checkpoint, out)
-        state_path(out).unlink(missing_ok=True)
-    return TuneResult(checkpoint, history, held_out)
+    return course, training
+
+
+def _sources(case: Case, train: Logs | Simulator | None) -> tuple[Case, Logs | None]:
+    """The case, with a function that draws logs as its own; logs to train on."""
+    if train is None or isinstance(train, (Log, str, Path)) or not callable(train):
+        return case, train
+    if not isinstance(case, Model):
+        raise InputError(f"train: found a function, expected logs: {case.name} simulates by itself")
+    return replace(case, simulate=train), None
+
+
+def _tunable(case: Case) -> Filter:
+    name = case.tuning.system
+    system = case.system(name)
+    if not isinstance(system, Filter):
+        raise InputError(f"tune: system {name} is a baseline, expected a filter")
+    if not any(p.tuned for p in system.declarations.values()):
+        raise InputError(
+            f"tune: no parameter of {name} has tuned = true, expected one or more, or tuned=[...] "
+            f"among {', '.join(system.declarations)}"
+        )
+    return system
 
 
 def _with_settings(
-    scenario: Scenario, settings: Mapping[str, Any] | TuneSettings | None
-) -> Scenario:
-    """The scenario with other ``[tuning]``, checked like its file and stored with the values."""
+    case: Case,
+    settings: Mapping[str, Any] | TuneSettings | None,
+    loss: Mapping[str, float] | None,
+) -> Case:
+    """The case with other ``[tuning]``, checked like its file and stored with the values."""
     if isinstance(settings, TuneSettings):
         settings = asdict(settings)
-    plain = json.loads(json.dumps(dict(settings or {})))  # tuples to lists, as TOML has them
-    return scenario.with_overrides({f"tuning.{name}": value for name, value in plain.items()})
+    changed = dict(settings or {}) | ({} if loss is None else {"loss": dict(loss)})
+    plain = json.loads(json.dumps(changed))  # tuples to lists, as TOML has them
+    return case.with_overrides({f"tuning.{name}": value for name, value in plain.items()})
 
 
 def _held_out(
-    checkpoint: Checkpoint,
-    settings: TuneSettings,
-    seed: int,
-    test: Log | None,
-    progress: bool,
-    engine: str,
+    checkpoint: Checkpoint, seed: int, test: Log | None, progress: bool, engine: str
 ) -> Comparison | None:
-    scenario = checkpoint.scenario
-    told = [name for name, spec in scenario.systems.items() if spec.clairvoyant and test is None]
-    systems = tuple(dict.fromkeys([settings.system, *told]))
-    if test is None and scenario.world is None:
+    case = checkpoint.scenario
+    if (test is None and case.world is None) or (test is not None and test.truth is None):
         return None
-    if test is not None and test.truth is None:
-        return None
+    told = [name for name, spec in case.systems.items() if spec.clairvoyant and test is None]
     return compare(
-        scenario,
+        case,
         {"published": None, "tuned": checkpoint},
-        settings.test,
+        case.tuning.test,
         seed,
         log=test,
-        systems=systems,
+        systems=tuple(dict.fromkeys([case.tuning.system, *told])),
         progress=progress,
         engine=engine,
     )

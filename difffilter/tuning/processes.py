@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 import torch
@@ -75,6 +76,14 @@ class Ranks:
         self.agree([data])
         return data.numpy().tobytes()
 
+    def meet(self) -> None:
+        """Wait until all have come here: whoever leaves now, nobody waits for it."""
+        if self.size > 1:
+            import torch.distributed as dist
+
+            with self._lost():
+                dist.barrier()
+
     @contextmanager
     def _lost(self) -> Iterator[None]:
         try:
@@ -82,9 +91,20 @@ class Ranks:
         except RuntimeError as error:
             if isinstance(error, RankError):
                 raise
+            if threading.current_thread() is threading.main_thread():
+                signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it is ending already
             raise RankError(
                 f"ranks: process {self.rank} of {self.size} lost the connection to another one"
             ) from None
+
+
+def _leave() -> None:
+    """Close the group, whatever the way out: left to the interpreter's end it may abort."""
+    import torch.distributed as dist
+
+    with suppress(Exception):  # others may be gone already
+        if dist.is_initialized():
+            dist.destroy_process_group()
 
 
 def ranks() -> Ranks:
@@ -111,4 +131,5 @@ def ranks() -> Ranks:
             dist.init_process_group("gloo")
         except (RuntimeError, ValueError) as error:
             raise RankError(f"ranks: {str(error).splitlines()[0]}") from None
+        atexit.register(_leave)
     return Ranks(dist.get_rank(), dist.get_world_size())

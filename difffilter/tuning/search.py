@@ -145,7 +145,7 @@ class Search:
         keys = np.frombuffer(b"".join(self.known), dtype=np.float64)
         return {
             "generations": self.generations,
-            "points": torch.from_numpy(keys.reshape(len(self.known), -1).copy()),
+            "points": torch.from_numpy(keys.reshape(len(self.known), len(self.start)).copy()),
             "losses": torch.tensor(list(self.known.values()), dtype=torch.float64),
         }
 

@@ -31,15 +31,22 @@ class Certainty:
 
     Attributes:
         errors: standard error of each tuned number by entry name, in its unit; None where
-            the data do not determine it.
-        free: one line for each direction that the data do not determine.
+            it is unknown: the data do not determine the value, the tuning ended on its way to
+            it, or one trajectory alone tells nothing about others.
+        free: one line for each direction that the data do not determine, or in which the tuning
+            ended on its way.
     """
 
     errors: dict[str, float | None]
     free: tuple[str, ...]
 
 
-def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Certainty:
+def certainty(
+    parameters: ParameterSet,
+    expand: Callable[[], Expansion],
+    count: int = 2,
+    capped: bool = False,
+) -> Certainty:
     """Sandwich estimate H^-1 (sum of s_b s_b^T) H^-1 at the current values.
 
     H is the Hessian of the loss, by central differences of its gradient; s_b is what
@@ -48,6 +55,10 @@ def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Cert
 
     Args:
         expand: the loss to second order at the parameters' current values.
+        count: trajectories or windows; of fewer than two, nobody knows how much the gradient
+            varies: no error is known.
+        capped: whether the tuning ended before it converged: what is then ahead in a direction
+            is a minimum that it did not reach.
     """
     free = list(parameters.free().values())
     p = sum(x.numel() for x in free)
@@ -57,7 +68,9 @@ def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Cert
     # Standard deviation of the gradient, and the gradient, along each direction.
     noise = ((now.spread @ vectors) * vectors).sum(0).clamp_min(0.0).sqrt()
     ahead = (now.gradient @ vectors).abs()
-    determined = (values > 0.0) & (noise < FREE * values) & (ahead < AHEAD * values)
+    known = (values > 0.0) & (noise < FREE * values)
+    determined = known & (ahead < AHEAD * values)
+    short = known & ~determined if capped else torch.zeros_like(known)
     loose = vectors[:, ~determined]
     kept = vectors[:, determined]
     inverse = (kept / values[determined]) @ kept.mT
@@ -69,8 +82,15 @@ def certainty(parameters: ParameterSet, expand: Callable[[], Expansion]) -> Cert
     lost = chain.square() @ loose.square().sum(1) / reach.clamp_min(1e-300)
     each = zip(_names(parameters), errors.tolist(), lost.tolist(), reach.tolist(), strict=True)
     return Certainty(
-        {name: error if part < 0.5 else None for name, error, part, moves in each if moves > 0.0},
-        tuple(_told(parameters, chain, direction) for direction in loose.mT),
+        {
+            name: error if part < 0.5 and count > 1 else None
+            for name, error, part, moves in each
+            if moves > 0.0
+        },
+        tuple(
+            _told(parameters, chain, direction, bool(early))
+            for direction, early in zip(loose.mT, short[~determined], strict=True)
+        ),
     )
 
 
@@ -95,7 +115,7 @@ def _names(parameters: ParameterSet) -> list[str]:
     return [entry for name in parameters.free() for entry in declarations[name].entries()]
 
 
-def _told(parameters: ParameterSet, chain: Tensor, direction: Tensor) -> str:
+def _told(parameters: ParameterSet, chain: Tensor, direction: Tensor, early: bool) -> str:
     """A free direction in words."""
     entries = _names(parameters)
     scales = [
@@ -109,6 +129,8 @@ def _told(parameters: ParameterSet, chain: Tensor, direction: Tensor) -> str:
         if abs(part) > NAMED
     ]
     names = list(dict.fromkeys(entry for entry, _, _ in named))
+    if early:
+        return f"{', '.join(names)}: the tuning ended before their best values, give it more steps"
     if len(names) == 1:
         return f"{names[0]}: the data do not determine it, or push it to its bound"
     together = " and ".join([", ".join(names[:-1]), names[-1]])

@@ -13,19 +13,19 @@ from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
+from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import started
-from difffilter.scenario.scenario import Scenario
+from difffilter.scenario.model import tuning_alone
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
 from difffilter.scoring.losses import total_loss
-from difffilter.tuning.board import Board
-from difffilter.tuning.descent import Descent
+from difffilter.tuning.descent import descend
 from difffilter.tuning.search import SEARCHES
+from difffilter.tuning.task import Task
 from difffilter.verdict.noise_estimates import (
     noise_names,
     plain_filter,
     sample_covariances,
-    tuning_only,
 )
 
 __all__ = ["SAMPLE", "Contender", "Course", "contenders", "contest"]
@@ -63,7 +63,7 @@ class Course:
 
 
 def contest(
-    scenario: Scenario,
+    scenario: Case,
     filter: Filter,
     settings: TuneSettings,
     held: HeldOut,
@@ -104,17 +104,17 @@ def contest(
 
 
 def warm(
-    scenario: Scenario, filter: Filter, settings: TuneSettings, log: Log | None, engine: str
+    scenario: Case, filter: Filter, settings: TuneSettings, log: Log | None, engine: str
 ) -> None:
     """Compile what the contest runs, before any clock starts."""
     small = replace(settings, trajectories=2, validation=2, batch=2, steps=1, starts=1)
     for name in (settings.optimiser, "random"):
-        job = Descent(scenario, filter, replace(small, optimiser=name, runs=1.0), 0, log, engine)
-        job.search(None, False, Board(None), False)
+        chosen = replace(small, optimiser=name, runs=1.0)
+        descend(Task(scenario, filter, chosen, train=log, asked=engine))
 
 
 def _course(
-    scenario: Scenario,
+    scenario: Case,
     filter: Filter,
     settings: TuneSettings,
     held: HeldOut,
@@ -123,28 +123,28 @@ def _course(
     engine: str,
 ) -> tuple[Course, float]:
     """One tuning, and the filter runs that it spent."""
-    job = Descent(scenario, filter, settings, seed, log, engine)
-    _, history = job.search(None, False, Board(None), False)
+    task = Task(scenario, filter, settings, seed=seed, train=log, asked=engine)
+    found = descend(task)
     best, judged, losses, errors = float("inf"), (0.0, 0.0), [], []
-    rows = job.referred(started(scenario, filter, held.log))
-    for entry in history:
-        if entry["validation"] < best:
-            best = entry["validation"]
-            values = {n: torch.tensor(v, dtype=torch.float64) for n, v in entry["values"].items()}
+    rows = task.referred(started(scenario, filter, held.log))
+    for entry in found.entries:
+        if entry.validation < best:
+            best = entry.validation
+            values = {n: torch.tensor(v, dtype=torch.float64) for n, v in entry.values.items()}
             outcome = held.outcome(values)
-            loss, _ = total_loss(settings.loss, outcome.track, rows, job.context)
+            loss, _ = total_loss(settings.loss, outcome.track, rows, task.context)
             judged = (float(loss), outcome.rmse)
         losses.append(judged[0])
         errors.append(judged[1])
     course = Course(
-        job.optimiser,
+        task.optimiser,
         seed,
-        tuple(entry["runs"] for entry in history),
-        tuple(job.seconds),
+        tuple(entry.runs for entry in found.entries),
+        found.seconds,
         tuple(losses),
         tuple(errors),
     )
-    return course, job.spent.runs
+    return course, found.spent.runs
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Contender:
 
 
 def contenders(
-    scenario: Scenario,
+    scenario: Case,
     filter: Filter,
     settings: TuneSettings,
     held: HeldOut,
@@ -191,32 +191,29 @@ def contenders(
         with suppress(InputError):  # a state that no truth tells has no sample
             made[SAMPLE] = {**published, **sample_covariances(filter, train)}
         likely = replace(settings, loss={"normal-likelihood": 1.0}, optimiser="lbfgs")
-        bare = tuning_only(plain_filter(filter), noise)
+        bare = tuning_alone(plain_filter(filter), noise)
         found = _fit(scenario, bare, likely, seed, log, engine)
         made["Q and R: maximum likelihood of a plain filter"] = {
             **published, **{name: found[name] for name in noise}
         }  # fmt: skip
-        alone = tuning_only(filter, noise)
+        alone = tuning_alone(filter, noise)
         name = "Q and R: gradient of this loss"
         made[name] = _fit(scenario, alone, settings, seed, log, engine)
     others = [n for n, p in filter.declarations.items() if p.tuned and n not in noise]
     if others and noise:
-        rest = tuning_only(filter, others)
+        rest = tuning_alone(filter, others)
         made["all but Q and R: gradient"] = _fit(scenario, rest, settings, seed, log, engine)
     made["all: gradient"] = tuned
     return [Contender(name, values, held.outcome(values)) for name, values in made.items()]
 
 
 def _fit(
-    scenario: Scenario,
+    scenario: Case,
     filter: Filter,
     settings: TuneSettings,
     seed: int,
     log: Log | None,
     engine: str,
 ) -> Values:
-    best, _ = Descent(scenario, filter, settings, seed, log, engine).search(
-        None, False, Board(None), False
-    )
-    values: Values = best["values"]
-    return values
+    task = Task(scenario, filter, settings, seed=seed, train=log, asked=engine)
+    return descend(task).best.values

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import replace
 
 import torch
@@ -16,7 +15,7 @@ from difffilter.scoring.truth import measurement_errors, true_states
 from difffilter.sensors.sensor import NoiseAndBias
 from difffilter.weights.registry import plain
 
-__all__ = ["noise_names", "plain_filter", "sample_covariances", "tuning_only"]
+__all__ = ["noise_names", "plain_filter", "sample_covariances"]
 
 #: Least standard deviation from a sample, of the published one.
 LEAST = 1e-3
@@ -25,12 +24,6 @@ LEAST = 1e-3
 def noise_names(filter: Filter) -> tuple[str, ...]:
     """The tuned parameters that scale Q or R."""
     return tuple(n for n, p in filter.declarations.items() if p.tuned and p.noise)
-
-
-def tuning_only(filter: Filter, names: Collection[str]) -> Filter:
-    """The same filter, with these parameters alone to tune."""
-    changed = {n: replace(p, tuned=n in names) for n, p in filter.declarations.items()}
-    return replace(filter, overrides=changed)
 
 
 def plain_filter(filter: Filter) -> Filter:

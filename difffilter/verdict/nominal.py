@@ -10,6 +10,7 @@ from difffilter.comparison.held_out import HeldOut
 from difffilter.filters.filter import Filter
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
+from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.simulation import simulate
 
 __all__ = ["Toll", "clean", "nominal_toll", "toll"]
@@ -52,7 +53,7 @@ def nominal_toll(filter: Filter, values: Values, points: int = 20001) -> Toll | 
 
 def clean(held: HeldOut, trajectories: int, seed: int) -> HeldOut | None:
     """The same scenario without faults, simulated; None for recordings."""
-    if held.scenario.world is None:
+    if not isinstance(held.scenario, Scenario) or held.scenario.world is None:
         return None
     scenario = replace(held.scenario, faults={})
     return replace(held, scenario=scenario, log=simulate(scenario, trajectories, seed, "clean"))

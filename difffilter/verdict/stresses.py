@@ -11,7 +11,7 @@ from difffilter.comparison.held_out import HeldOut, Outcome
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
-from difffilter.scenario.scenario import Scenario
+from difffilter.scenario.case import Case
 from difffilter.scoring.truth import measurement_errors, nominal_sigma
 from difffilter.seeds import stream
 
@@ -47,7 +47,7 @@ class Stressed:
 
 
 def stress(
-    scenario: Scenario,
+    scenario: Case,
     filter: Filter,
     log: Log,
     tuned: Values,
@@ -93,7 +93,7 @@ class Grid:
 
 
 def stress_grid(
-    scenario: Scenario,
+    scenario: Case,
     filter: Filter,
     log: Log,
     tuned: Values,

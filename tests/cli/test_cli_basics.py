@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
-import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -100,26 +98,40 @@ def test_closed_pipe() -> None:
         assert running.wait(60) == 141
 
 
+#: Ctrl-C in the third step, by the process itself: no other one has to be quick enough.
+INTERRUPTED = """
+import signal, sys
+from difffilter.cli.main import main
+from difffilter.tuning.descent import Descent
+original, count = Descent._step, 0
+def step(self, *args):
+    global count
+    count += 1
+    if count == 3:
+        signal.raise_signal(signal.SIGINT)
+    return original(self, *args)
+Descent._step = step
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 def test_interrupted_tuning_says_how_to_resume(tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text(TINY)
     options = ["tune", "tiny.toml", "--system", "ekf", "--steps", "40", "--out", "a.json"]
     options += ["--set", "tuning.evaluate_every=1", "--set", "tuning.patience=99"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "difffilter", *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, *options],
+        capture_output=True,
         text=True,
         cwd=tmp_path,
         env=environment(),
-    ) as running:
-        until = time.monotonic() + 60
-        while not (tmp_path / "a.state.pt").exists() and time.monotonic() < until:
-            time.sleep(0.02)
-        running.send_signal(signal.SIGINT)
-        out, err = running.communicate(timeout=60)
-    assert running.returncode == 130, err
-    assert out == ""
-    assert err == f"difffilter: interrupted; go on with: difffilter {' '.join(options)} --resume\n"
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 130, done.stderr
+    assert done.stdout == ""
+    told = f"difffilter: interrupted; go on with: difffilter {' '.join(options)} --resume\n"
+    assert done.stderr == told
     assert not (tmp_path / "a.json").exists()
     done = process(*options, "--resume", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

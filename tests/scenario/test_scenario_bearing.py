@@ -275,6 +275,6 @@ def test_a_direction_finding_log_tunes_in_windows() -> None:
     scenario = load_scenario(ABSOLUTE, keys)
     log = df.simulate(scenario, 2, seed=1)
     settings = {"steps": 2, "window": 20, "batch": 3}
-    tuned = df.tune(scenario, log=log, settings=settings).checkpoint
+    tuned = df.tune(scenario, log, settings=settings).checkpoint
     assert tuned.values["start.sigma"][2:].tolist() == [0.0, 0.0]
     assert set(tuned.values) == set(filter_of(scenario, "gated").declarations)

@@ -21,8 +21,8 @@ from difffilter.scenario.scenario import Scenario, load_scenario
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
 from difffilter.scoring.metrics import position_error
-from difffilter.tuning.descent import Descent
 from difffilter.tuning.loop import tune
+from difffilter.tuning.task import Task
 
 NAME = "urban-credibility"
 RUNS = 20
@@ -146,7 +146,7 @@ def test_a_federated_system_is_tuned_to_the_values_of_its_central_form() -> None
     central = short().with_overrides({"systems.credibility.federated": False})
     a, b = (tune(s, seed=3, settings=FEW) for s in (short(), central))
     assert repr(a.history) == repr(b.history)  # repr: the first training loss is NaN
-    first, *_, last = (entry["values"] for entry in a.history)
+    first, *_, last = (entry.values for entry in a.history)
     moved = {name for name, value in last.items() if value != first[name]}
     assert "motion.acceleration" in moved
     assert {"credibility.floor", "credibility.kappa"} & moved
@@ -162,16 +162,16 @@ def test_tuning_compares_with_the_published_filter_on_the_same_trajectories() ->
     scenario, filter = short(), short().system("credibility")
     assert isinstance(filter, Filter)
     settings = TuneSettings(system="credibility", **FEW)
-    descent = Descent(scenario, filter, settings, 3, None)
+    task = Task(scenario, filter, settings, 3)
     log = simulate(scenario, 5, 3, "validation")
     squared = position_error(log, estimate(filter, started(scenario, filter, log)))
-    assert_close(descent.check.inputs["reference.squared"], squared, 1e-9)
-    batch = descent.data.batch(torch.tensor([4, 1])).log
+    assert_close(task.check.log.inputs["reference.squared"], squared, 1e-9)
+    batch = task.data.batch(torch.tensor([4, 1])).log
     train = simulate(scenario, 6, 3, "train")
     own = position_error(train, estimate(filter, started(scenario, filter, train)))
     assert_close(batch.inputs["reference.squared"], own[:, [4, 1]], 1e-9)
     plain = replace(settings, loss={"position": 1.0})
-    assert "reference.squared" not in Descent(scenario, filter, plain, 3, None).check.inputs
+    assert "reference.squared" not in Task(scenario, filter, plain, 3).check.log.inputs
 
 
 def test_what_is_tuned_is_what_the_specification_names() -> None:

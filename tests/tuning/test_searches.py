@@ -114,11 +114,11 @@ def test_tuning_by_a_search_keeps_to_the_budget_and_never_gets_worse(name: str) 
     result = tune(SCENARIO, settings=settings)
     again = tune(SCENARIO, settings=settings)
     assert repr(result.history) == repr(again.history)
-    runs = [entry["runs"] for entry in result.history]
+    runs = [entry.runs for entry in result.history]
     assert runs == sorted(runs)
     assert 240.0 <= runs[-1] <= 240.0 + 6 * 20  # at most a generation more
     assert all((r / 6.0).is_integer() for r in runs)  # a value costs each trajectory one run
-    training = [entry["training"] for entry in result.history[1:]]
+    training = [entry.training for entry in result.history[1:]]
     assert training == sorted(training, reverse=True)  # the best point so far stands
     if name == "nelder-mead":  # the others may need more than forty points
         assert training[-1] < training[0]
@@ -127,13 +127,13 @@ def test_tuning_by_a_search_keeps_to_the_budget_and_never_gets_worse(name: str) 
 def test_a_gradient_counts_one_run_and_one_for_each_derivative() -> None:
     numbers = sum(p.tensor().numel() for p in tuned_parameters())
     result = tune(SCENARIO, settings={**SMALL, "optimiser": "adam", "steps": 3})
-    runs = [entry["runs"] for entry in result.history]
+    runs = [entry.runs for entry in result.history]
     assert runs == [6.0 * (1 + numbers) * step for step in range(4)]
     few = tune(
         SCENARIO,
         settings={**SMALL, "optimiser": "adam", "steps": 50, "runs": 6.0 * (1 + numbers) * 2},
     )
-    assert few.history[-1]["step"] == 2
+    assert few.history[-1].step == 2
 
 
 def tuned_parameters() -> list[Parameter]:

@@ -57,14 +57,14 @@ def test_tuning_leaves_every_global_generator_alone() -> None:
 
 
 def test_the_kept_values_are_the_best_validated_ones(result: TuneResult) -> None:
-    scores = [entry["validation"] for entry in result.history]
+    scores = [entry.validation for entry in result.history]
     best = result.history[scores.index(min(scores))]
-    assert numbers(result.checkpoint.values) == best["values"]
-    assert [entry["step"] for entry in result.history] == [0, 2, 4, 6]
+    assert numbers(result.checkpoint.values) == best.values
+    assert [entry.step for entry in result.history] == [0, 2, 4, 6]
     training = result.checkpoint.training
     assert training["validation_loss"] == min(scores)
     assert training["validation_loss_published"] == scores[0]
-    assert (training["step"], training["start"], training["seed"]) == (best["step"], 0, 1)
+    assert (training["step"], training["start"], training["seed"]) == (best.step, 0, 1)
 
 
 def test_a_few_steps_improve_a_filter_that_was_mistuned() -> None:
@@ -81,7 +81,7 @@ def test_steps_that_only_do_harm_return_the_published_values() -> None:
     scenario = airport(faults__nlos__probability=0.0)
     settings = {"system": "ekf", "learning_rate": 6.0, "evaluate_every": 1, "steps": 3}
     result = tuned(scenario=scenario, settings=settings)
-    assert min(e["validation"] for e in result.history[1:]) > result.history[0]["validation"]
+    assert min(e.validation for e in result.history[1:]) > result.history[0].validation
     filter = result.checkpoint.published_filter
     for name, value in filter.published().items():
         torch.testing.assert_close(result.checkpoint.values[name], value, rtol=1e-14, atol=0.0)
@@ -91,7 +91,7 @@ def test_steps_that_only_do_harm_return_the_published_values() -> None:
 
 def test_only_parameters_declared_as_tuned_move(result: TuneResult) -> None:
     declarations = result.checkpoint.published_filter.declarations
-    last = result.history[-1]["values"]
+    last = result.history[-1].values
     moved = {name for name, p in declarations.items() if last[name] != p.tensor().tolist()}
     assert moved == {name for name, p in declarations.items() if p.tuned}
     assert {"huber.k", "prior.floor"}.isdisjoint(declarations)
@@ -101,7 +101,7 @@ def test_only_parameters_declared_as_tuned_move(result: TuneResult) -> None:
 def test_freezing_a_parameter_in_the_scenario_keeps_it() -> None:
     scenario = airport(parameters__tdoa__sigma__tuned=False, parameters__tdoa__bias__tuned=False)
     result = tuned(scenario=scenario, settings={"steps": 2})
-    last = result.history[-1]["values"]
+    last = result.history[-1].values
     published = result.checkpoint.published_filter.published()
     assert last["tdoa.sigma"] == float(published["tdoa.sigma"])
     assert last["tdoa.bias"] == 0.0
@@ -116,29 +116,29 @@ def test_a_prior_pulls_towards_the_published_value() -> None:
             scenario=airport(**keys),
             settings={"steps": 25, "learning_rate": 0.05, "evaluate_every": 25},
         )
-        last.append(abs(np.log(result.history[-1]["values"]["tdoa.sigma"] / 2.99792458)))
+        last.append(abs(np.log(result.history[-1].values["tdoa.sigma"] / 2.99792458)))
     assert last[1] < 0.3 * last[0]
 
 
 def test_several_starts_begin_apart_and_the_best_of_all_is_kept() -> None:
     result = tuned(settings={"starts": 3, "steps": 2, "scatter": 0.5})
-    begins = [entry["values"] for entry in result.history if entry["step"] == 0]
-    assert [entry["start"] for entry in result.history] == [0, 0, 1, 1, 2, 2]
+    begins = [entry.values for entry in result.history if entry.step == 0]
+    assert [entry.start for entry in result.history] == [0, 0, 1, 1, 2, 2]
     published = numbers(result.checkpoint.published_filter.published())
     assert begins[0]["motion.acceleration"] == pytest.approx(published["motion.acceleration"])
     assert begins[0]["tanh.ab"] == pytest.approx(published["tanh.ab"])
     sigmas = [values["tdoa.sigma"] for values in begins]
     assert len(set(sigmas)) == 3
     assert all(values["start.sigma"] == begins[0]["start.sigma"] for values in begins)
-    best = min(result.history, key=lambda entry: entry["validation"])
-    assert numbers(result.checkpoint.values) == best["values"]
-    assert result.checkpoint.training["start"] == best["start"]
+    best = min(result.history, key=lambda entry: entry.validation)
+    assert numbers(result.checkpoint.values) == best.values
+    assert result.checkpoint.training["start"] == best.start
 
 
 def test_patience_ends_a_start_that_no_longer_improves() -> None:
     result = tuned(settings={"learning_rate": 3.0, "evaluate_every": 1, "patience": 2, "steps": 30})
-    steps = [entry["step"] for entry in result.history]
-    scores = [entry["validation"] for entry in result.history]
+    steps = [entry.step for entry in result.history]
+    scores = [entry.validation for entry in result.history]
     best = scores.index(min(scores))
     assert steps[-1] < 30
     assert len(scores) - 1 - best == 2
@@ -169,9 +169,9 @@ def test_what_is_written_is_what_is_returned(tmp_path: Path) -> None:
 def test_recorded_logs_train_and_validate(tmp_path: Path) -> None:
     scenario, log = load_scenario("uwb-ranges"), recorded(tmp_path)
     settings = {"steps": 6, "evaluate_every": 2, "window": 12, "batch": 3, "learning_rate": 0.3}
-    result = tune(scenario, log=log, test=log, settings=settings)
+    result = tune(scenario, log, validation=log, test=log, settings=settings)
     assert result.checkpoint.training["data"] == ["los_A1", "nlos_A2"]
-    scores = [entry["validation"] for entry in result.history]
+    scores = [entry.validation for entry in result.history]
     assert min(scores) < scores[0]
     assert result.held_out is not None
     assert result.held_out.seed is None
@@ -181,8 +181,8 @@ def test_recorded_logs_train_and_validate(tmp_path: Path) -> None:
 def test_simulated_logs_can_be_given_like_recorded_ones() -> None:
     scenario = airport()
     log = simulate(scenario, 4, seed=8)
-    result = tune(scenario, log=log, settings=FEW | {"steps": 2, "window": 5})
-    assert result.history[-1]["values"]["tdoa.sigma"] != result.history[0]["values"]["tdoa.sigma"]
+    result = tune(scenario, log, settings=FEW | {"steps": 2, "window": 5})
+    assert result.history[-1].values["tdoa.sigma"] != result.history[0].values["tdoa.sigma"]
 
 
 def test_mini_batches_go_through_everything_before_repeating() -> None:
@@ -204,7 +204,7 @@ def test_tensorboard_shows_losses_values_gradients_and_a_track(tmp_path: Path) -
     assert "weights" in tags["histograms"]
     assert "track" in tags["images"]
     validation = [event.value for event in events.Scalars("loss/validation")]
-    assert validation == pytest.approx([e["validation"] for e in result.history], rel=1e-5)
+    assert validation == pytest.approx([e.validation for e in result.history], rel=1e-5)
     assert [event.step for event in events.Scalars("loss/training")] == [0, 1, 2]
     shown = {path.name for path in tmp_path.iterdir() if path.is_dir()}
     assert any("tdoa.sigma" in name for name in shown)

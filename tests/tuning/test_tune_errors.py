@@ -61,14 +61,14 @@ def test_a_loss_that_needs_truth_is_refused_without_it(tmp_path: Path) -> None:
     log = replace(recorded(tmp_path), truth=None, truth_states=())
     scenario = load_scenario("uwb-ranges")
     with pytest.raises(InputError, match="loss position: needs truth columns"):
-        tune(scenario, log=log, settings={"steps": 1})
+        tune(scenario, log, settings={"steps": 1})
     settings = {"steps": 1, "loss": {"likelihood": 1.0}}
-    result = tune(scenario, log=log, test=log, settings=settings)
+    result = tune(scenario, log, test=log, settings=settings)
     assert result.held_out is None
     assert result.checkpoint.result == {}
 
 
-def test_one_log_without_a_dimension_of_trajectories_is_refused() -> None:
+def test_one_log_without_a_dimension_of_trajectories_is_a_batch_of_one() -> None:
     scenario = airport()
     batch = simulate(scenario, 1, seed=8)
     assert batch.truth is not None
@@ -76,8 +76,10 @@ def test_one_log_without_a_dimension_of_trajectories_is_refused() -> None:
     log = replace(
         batch, z=batch.z[:, 0], truth=batch.truth[:, 0], inputs={}, start=Start(batch.start.mean[0])
     )
-    with pytest.raises(InputError, match=r"logs: found .*, see stack_logs"):
-        tune(scenario, log=log, settings=FEW)
+    settings = FEW | {"steps": 1, "window": 5}
+    single = tune(scenario, log, settings=settings).history
+    batched = replace(batch, inputs={}, start=Start(batch.start.mean))
+    assert repr(single) == repr(tune(scenario, [batched], settings=settings).history)
 
 
 def _trap(limit: float) -> Weight:

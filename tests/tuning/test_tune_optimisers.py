@@ -49,10 +49,10 @@ def test_gauss_newton_takes_the_same_way_with_either_engine() -> None:
     fast, slow = (tuned("gauss-newton", e, steps=3, loss=loss) for e in ("fused", "torch"))
     assert len(fast.history) == len(slow.history) == 4
     for a, b in zip(fast.history, slow.history, strict=True):
-        assert a["validation"] == pytest.approx(b["validation"], rel=1e-9)
-        assert a["training"] == pytest.approx(b["training"], rel=1e-9, nan_ok=True)
-        for name, value in b["values"].items():
-            assert a["values"][name] == pytest.approx(value, rel=1e-9, abs=1e-12), name
+        assert a.validation == pytest.approx(b.validation, rel=1e-9)
+        assert a.training == pytest.approx(b.training, rel=1e-9, nan_ok=True)
+        for name, value in b.values.items():
+            assert a.values[name] == pytest.approx(value, rel=1e-9, abs=1e-12), name
 
 
 #: What auto takes: Gauss-Newton validates every step where Adam does every fifth.
@@ -71,7 +71,7 @@ def test_auto_takes_gauss_newton_for_squared_errors_only(
 ) -> None:
     found, named = (tuned(name, loss=loss, steps=2) for name in ("auto", expected))
     assert repr(found.history) == repr(named.history)
-    steps = [entry["step"] for entry in found.history]
+    steps = [entry.step for entry in found.history]
     assert steps == ([0, 1, 2] if expected == "gauss-newton" else [0, 2])
 
 
@@ -89,7 +89,9 @@ def on_windows(optimiser: str, tmp_path: Path) -> Run:
               "refresh": 3, "optimiser": optimiser}  # fmt: skip
 
     def run(**options: Any) -> TuneResult:
-        return tune(scenario, seed=1, log=log, settings=chosen, engine="fused", **options)
+        return tune(
+            scenario, log, seed=1, validation=log, settings=chosen, engine="fused", **options
+        )
 
     return run
 

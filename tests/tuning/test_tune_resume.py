@@ -27,7 +27,7 @@ def on_recordings(tmp_path: Path) -> Run:
     scenario, log = load_scenario("uwb-ranges"), recorded(tmp_path)
 
     def run(**options: Any) -> TuneResult:
-        fixed: dict[str, Any] = {"seed": 1, "log": log, "test": log, "settings": STEPS | WINDOWED}
+        fixed: dict[str, Any] = {"seed": 1, "train": log, "test": log, "settings": STEPS | WINDOWED}
         return tune(scenario, **fixed | options)
 
     return run
@@ -41,7 +41,7 @@ def adaptive(tmp_path: Path) -> Run:
     log: Log = recorded(tmp_path)
 
     def run(**options: Any) -> TuneResult:
-        fixed: dict[str, Any] = {"seed": 1, "log": log, "test": log, "settings": STEPS | WINDOWED}
+        fixed: dict[str, Any] = {"seed": 1, "train": log, "test": log, "settings": STEPS | WINDOWED}
         return tune(scenario, **fixed | options)
 
     return run
@@ -76,7 +76,7 @@ def test_patience_counts_on_across_an_interruption(tmp_path: Path, after: int) -
         return tune(scenario, seed=1, settings=FEW | harsh, **options)
 
     expected, out = run(), tmp_path / "x.json"
-    assert expected.history[-1]["step"] == 3
+    assert expected.history[-1].step == 3
     with pytest.MonkeyPatch.context() as patch:
         kill_after(patch, after)
         with contextlib.suppress(KeyboardInterrupt):
@@ -123,7 +123,7 @@ simulated(None)(out=sys.argv[1])
         timeout=100,
     )
     assert done.returncode == 9, done.stderr.decode()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["x.state.pt"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".x.state.pt.lock", "x.state.pt"]
     run = simulated(tmp_path)
     same(run(out=out, resume=True), run())
 
@@ -172,7 +172,7 @@ def test_other_logs_do_not_resume(tmp_path: Path, part: str) -> None:
             run(out=out)
     other = replace(log, **{part: getattr(log, part) * 1.0000001})
     with pytest.raises(CheckpointError, match="belongs to another run"):
-        run(out=out, log=other, resume=True)
+        run(out=out, train=other, resume=True)
 
 
 def test_a_run_that_never_began_does_not_resume(tmp_path: Path) -> None:

@@ -52,8 +52,9 @@ def main() -> int:
             stages.detail(name)
             result = df.tune(
                 scenario,
+                train,
+                validation=train,
                 seed=options.seed,
-                log=train,
                 test=test,
                 settings=quick | {"loss": loss},
                 progress=not options.quiet,
@@ -74,7 +75,12 @@ def main() -> int:
     stages.next("tuned on all four runs")
     every = logs(scenario, options, list(RUNS))
     final = df.tune(
-        scenario, seed=options.seed, log=every, settings=quick, progress=not options.quiet
+        scenario,
+        every,
+        validation=every,
+        seed=options.seed,
+        settings=quick,
+        progress=not options.quiet,
     ).checkpoint
     left_out = {
         run: {

@@ -56,7 +56,9 @@ def transfer(
     }
     for name, runs in ({run: (run,) for run in RUNS} | PAIRS).items():
         train = logs(scenario, options, runs)
-        sets[name] = df.tune(scenario, seed=seed, log=train, settings=small).checkpoint
+        sets[name] = df.tune(
+            scenario, train, validation=train, seed=seed, settings=small
+        ).checkpoint
     errors = {
         name: range_errors(df.simulate(one, 20, seed, "range errors"), one)
         for name, one in ((SIMULATED, world), (LASTING, longer))
