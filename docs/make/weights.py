@@ -142,7 +142,10 @@ def ranges(report: Report, options: Any, seed: int, quick: bool) -> None:
         for train in FOLDS.values():
             test = next(other for other in FOLDS.values() if other != train)
             logs = {part: load(scenario, options, part, quick) for part in (train, test)}
-            done = df.tune(scenario, seed=seed, log=logs[train], test=logs[test], settings=settings)
+            own = logs[train]
+            done = df.tune(
+                scenario, own, validation=own, test=logs[test], seed=seed, settings=settings
+            )
             assert done.held_out is not None
             before, after = (done.held_out.row("weighed", v) for v in ("published", "tuned"))
             row += [before.rmse, after.rmse, after.nees_per_state, chosen(done.checkpoint, name)]
