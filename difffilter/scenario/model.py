@@ -135,8 +135,9 @@ class Model:
                 settings[inner] = {**settings[inner], entry: value}
             else:
                 settings[inner] = value
-        plain = json.loads(json.dumps(settings))
-        return replace(self, tuning=read_tuning(Table(plain, self.name), (self.name,)))
+        plain = {"tuning": json.loads(json.dumps(settings))}
+        table = Table(plain, self.name).table("tuning")
+        return replace(self, tuning=read_tuning(table, (self.name,)))
 
     def simulated(self, count: int, seed: int, purpose: str) -> Log:
         """Logs of the simulator; different purposes have seeds of their own."""

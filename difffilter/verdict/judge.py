@@ -10,6 +10,7 @@ from difffilter.logs.log import Log
 from difffilter.reports.figures.world import world_figure
 from difffilter.reports.report import Report
 from difffilter.scenario.checkpoint import Checkpoint
+from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.simulation import simulate
 from difffilter.scenario.systems import recipes
 from difffilter.verdict.contest_section import write_contest
@@ -132,7 +133,11 @@ def _world(report: Report, case: Case) -> None:
     )
     figure = world_figure(case.held.filter, case.held.log)
     report.figure(figure, f"{case.slug}-world", caption)
-    rows = list(recipes(scenario.document["systems"]).items())
+    if isinstance(scenario, Scenario):
+        said = recipes(scenario.document["systems"])
+    else:
+        said = {name: system.note or "made in Python" for name, system in scenario.systems.items()}
+    rows = list(said.items())
     report.table(f"{case.slug} systems", ["system", "what it is"], rows)
 
 
