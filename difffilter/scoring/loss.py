@@ -6,7 +6,7 @@ function of the sum is small and differentiated by autograd.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
@@ -56,6 +56,8 @@ class Loss:
         curved: whether Gauss-Newton knows the curvature without residuals: a smooth scalar
             function of means.
         setting: what it needs that a log alone does not give, in words; empty for nothing.
+        slopes: (B,), how the loss rises with each trajectory's squares, from its slope towards
+            the sums and the log's inputs; None where it is that of the first sum for all.
     """
 
     rows: Added
@@ -65,6 +67,7 @@ class Loss:
     residuals: Added | None = None
     curved: bool = False
     setting: str = ""
+    slopes: Callable[[Tensor, Mapping[str, Tensor]], Tensor] | None = None
 
     def __call__(self, track: Track, log: Rows, context: LossContext) -> Tensor:
         """The loss of a whole track."""
@@ -105,6 +108,8 @@ def loss(
     *,
     value: Callable[[Tensor], Tensor] | None = None,
     squares: bool = False,
+    residuals: Added | None = None,
+    slopes: Callable[[Tensor, Mapping[str, Tensor]], Tensor] | None = None,
     needs_truth: bool = False,
     curved: bool = False,
     setting: str = "",
@@ -119,7 +124,7 @@ def loss(
         squares: the function gives residuals (T, ..., e) in place of what rows add, 0 where
             nothing counts: Gauss-Newton works on them. What rows add is then their squares,
             and 1 for each scored row (each measured row, for a loss without truth).
-        needs_truth, curved, setting, meaning: as for :class:`Loss`.
+        residuals, slopes, needs_truth, curved, setting, meaning: as for :class:`Loss`.
 
     Raises:
         InputError: a name that is taken, or is none.
@@ -134,8 +139,17 @@ def loss(
     def add(function: Added) -> Added:
         rows = _of_squares(function, needs_truth) if squares else function
         chosen = value or (log_mean if squares else mean)
-        own = function if squares else None
-        LOSSES.add(name, Loss(rows, chosen, needs_truth, meaning, own, curved, setting))
+        made = Loss(
+            rows=rows,
+            value=chosen,
+            needs_truth=needs_truth,
+            meaning=meaning,
+            residuals=function if squares else residuals,
+            curved=curved,
+            setting=setting,
+            slopes=slopes,
+        )
+        LOSSES.add(name, made)
         return function
 
     return add

@@ -35,8 +35,10 @@ __all__ = [
 
 #: A scene that gets worse costs eight times what its mean of four scenes gains.
 HINGE = 2.0
-#: Input that ``scenes`` reads beside the rows: squared errors to compare with.
+#: Input that ``scenes`` and ``worlds`` read beside the rows: squared errors to compare with.
 REFERENCE = "reference.squared"
+#: Inputs that ``worlds`` reads: membership, and this times weight and what is allowed.
+WORLDS = ("worlds.members", "worlds.weight", "worlds.allow")
 
 
 def _counted(value: Tensor, count: Tensor) -> Tensor:
@@ -123,11 +125,56 @@ def _innovation_consistency_rows(track: Track, log: Rows, context: LossContext) 
     return _counted(record.nis, record.present.sum(-1))
 
 
+def _hinges(squared: Tensor, largest: Tensor) -> Tensor:
+    """What scenes or members cost whose squared errors are larger than they may be."""
+    return HINGE * (0.5 * (squared / largest).log()).clamp_min(0.0).sum()
+
+
 def _scenes(sums: Tensor) -> Tensor:
     """Mean over scenes of log RMSE, and a hinge on each that is worse than published."""
     squared, reference, count = sums.reshape(-1, 3).unbind(-1)
-    hinges = (0.5 * (squared / reference).log()).clamp_min(0.0)
-    return 0.5 * (squared / count).log().mean() + HINGE * hinges.sum()
+    return 0.5 * (squared / count).log().mean() + _hinges(squared, reference)
+
+
+def _worlds(sums: Tensor) -> Tensor:
+    """Weighted mean of the members' log RMSE ratios, none worse than allowed."""
+    squared, reference, weight, allow = sums.reshape(-1, 4).unbind(-1)
+    seen = reference > 0.0  # a batch may hold nothing of a member
+    squared, reference = squared[seen], reference[seen]
+    weight, allow = weight[seen] / reference, allow[seen] / reference
+    gain = (weight * 0.5 * (squared / reference).log()).sum() / weight.sum()
+    return gain + _hinges(squared, reference * allow.square())
+
+
+def _worlds_slopes(slope: Tensor, inputs: Mapping[str, Tensor]) -> Tensor:
+    """(B,), by how much the loss rises with a trajectory's squared error."""
+    return inputs[WORLDS[0]][0] @ slope.reshape(-1, 4)[:, 0]
+
+
+@loss(
+    "worlds",
+    value=_worlds,
+    needs_truth=True,
+    curved=True,
+    residuals=_scored_difference,
+    slopes=_worlds_slopes,
+    setting="simulated [[worlds]] of a scenario",
+    meaning="mean log RMSE ratio to published over [[worlds]], none worse than allowed",
+)
+def _worlds_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
+    """Per member: squared errors, published ones, these times its weight, and times what it allows.
+
+    Inputs of the log tell which trajectories belong to which member, and the last two (see
+    :mod:`difffilter.tuning.worlds`).
+    """
+    if REFERENCE not in log.inputs or WORLDS[0] not in log.inputs:
+        raise InputError("loss worlds: needs the simulated [[worlds]] of a scenario, in tuning")
+    rows = scored_rows(log, track, context.score)
+    squared = _scored_difference(track, log, context).square().sum(-1, keepdim=True)
+    reference = torch.where(rows, log.inputs[REFERENCE], 0.0).unsqueeze(-1)
+    members, weight, allow = (log.inputs[name] for name in WORLDS)
+    added = (members * squared, members * reference, weight * reference, allow * reference)
+    return torch.stack(added, dim=-1).flatten(-2)
 
 
 @loss(

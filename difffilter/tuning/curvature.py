@@ -17,10 +17,10 @@ __all__ = ["Expansion", "chain_rule", "expand", "known"]
 
 
 def known(weights: Mapping[str, float]) -> bool:
-    """Whether Gauss-Newton knows the curvature: squares, beside smooth functions of means."""
+    """Whether Gauss-Newton knows the curvature: of one loss of squares, and smooth ones."""
     losses = [LOSSES[name] for name in weights]
     squares = [loss.residuals is not None for loss in losses]
-    return any(squares) and all(
+    return sum(squares) == 1 and all(
         loss.curved or own for loss, own in zip(losses, squares, strict=True)
     )
 
@@ -50,6 +50,7 @@ def expand(
     parameters: ParameterSet,
     share: float,
     among: Ranks | None = None,
+    inputs: Mapping[str, Tensor] | None = None,
 ) -> Expansion:
     """Expand the loss of the current values.
 
@@ -61,11 +62,12 @@ def expand(
         weights: of each loss; sums: with tangents towards the physical values.
         share: weight of the prior.
         among: the processes that hold the other trajectories.
+        inputs: of the log, for losses that weigh trajectories apart.
     """
     among = among or Ranks()
     chain = chain_rule(parameters)
     tangents = torch.einsum("bpq,pu->buq", sums.tangents, chain)
-    gram = chain.mT @ among.add(sums.gram.sum(0)) @ chain
+    grams = chain.mT @ sums.gram @ chain
     total, moved = among.add(sums.values.detach().sum(0)), among.add(tangents.sum(0))
     p = chain.shape[-1]
     scores, curvature = total.new_zeros(len(sums.values), p), total.new_zeros(p, p)
@@ -84,7 +86,10 @@ def expand(
         scores = scores + weight * (tangents[..., here] @ slope + own @ bend @ jacobian.mT)
         curvature = curvature + weight * jacobian @ _positive(bend) @ jacobian.mT
         if LOSSES[name].residuals is not None:
-            curvature = curvature + 2.0 * weight * slope[0] * gram
+            slopes = LOSSES[name].slopes
+            rise = slope[:1] if slopes is None else slopes(slope, inputs or {})
+            gram = among.add((rise[:, None, None] * grams).sum(0))
+            curvature = curvature + 2.0 * weight * gram
         loss, terms[name] = loss + weight * float(term.detach()), term.detach()
     prior, slope, bend = _prior(parameters, share)
     count = float(among.add(torch.tensor(float(len(scores)))))

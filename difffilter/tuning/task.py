@@ -22,6 +22,8 @@ from difffilter.running.objectives import objective, sum_losses
 from difffilter.running.problem import Problem
 from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import lean, started
+from difffilter.scenario.families import family
+from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
 from difffilter.scoring.losses import LossContext
@@ -34,6 +36,7 @@ from difffilter.tuning.optimisers import chosen
 from difffilter.tuning.processes import Ranks
 from difffilter.tuning.search import SEARCHES
 from difffilter.tuning.standard_errors import Certainty, certainty
+from difffilter.tuning.worlds import drawn_worlds
 
 __all__ = ["Task"]
 
@@ -171,7 +174,8 @@ class Task:
     ) -> Expansion:
         """Loss of a batch to second order."""
         sums = sum_losses(self.problem(batch, temperature), parameters.values())
-        return expand(self.settings.loss, sums, parameters, 1.0 / self.count, self.ranks)
+        share, inputs = 1.0 / self.count, batch.log.inputs
+        return expand(self.settings.loss, sums, parameters, share, self.ranks, inputs)
 
     def validate(self, values: Values) -> float:
         """Loss of the frozen, hard form on the validation data."""
@@ -208,6 +212,10 @@ class Task:
         )
 
     def _drawn(self, count: int, purpose: str) -> Log:
+        if "worlds" in self.settings.loss:
+            if not isinstance(self.case, Scenario) or not self.case.worlds:
+                raise InputError("loss worlds: found no [[worlds]], expected some in a scenario")
+            return drawn_worlds(family(self.case), self.filter, count, self.seed, purpose)
         return self.referred(self._started(simulate(self.case, count, self.seed, purpose)))
 
     def _started(self, log: Log) -> Log:

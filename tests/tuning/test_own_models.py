@@ -237,9 +237,6 @@ def test_the_command_line_takes_models_of_ones_own(tank: Path, tmp_path: Path) -
                    "--values", "plant.json", *more, cwd=tmp_path)  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "| plant | plant.json |" in done.stdout
-    done = process("report", "plant.json", "--log", "log.csv", *more, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "report" / "report.html").is_file()
     done = process("export", "plant.json", "--to", "c", "--out", "c", *more, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "c" / "plant.c").is_file()
