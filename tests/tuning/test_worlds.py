@@ -116,4 +116,4 @@ def test_a_family_is_tuned_and_says_so() -> None:
 
 def test_worlds_without_any_are_refused() -> None:
     with pytest.raises(InputError, match=r"loss worlds: found no \[\[worlds\]\]"):
-        tune(airport(), loss={"worlds": 1.0}, settings=FEW)
+        tune(airport(worlds=[]), loss={"worlds": 1.0}, settings=FEW)
