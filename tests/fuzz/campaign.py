@@ -1,0 +1,77 @@
+"""Random recipes, logs, files and faults of the machine for as long as told: ``make fuzz``.
+
+``python tests/fuzz/campaign.py --seconds 3600 --seed 1`` runs for an hour. Each case is made from a
+seed of its own, so that a violation can be run again: ``--only numbers:SEED``. Exits 1 if there is
+a violation; the smallest input of each is written into ``--out``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import documents
+import numbers_ as numbers
+import processes
+import torch
+from outcome import Tally
+
+#: Share of the time that each kind gets.
+SHARES = {"numbers": 0.45, "documents": 0.25, "kill": 0.22, "disk": 0.04, "cache": 0.04}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run it; 1 if something was found."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=120.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("report/fuzz"))
+    parser.add_argument("--only", help="KIND or KIND:SEED")
+    args = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    tally = Tally(args.out)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        os.environ.setdefault("DIFFFILTER_CACHE", str(folder / "compiled"))
+        kinds: dict[str, Callable[[int], None]] = {
+            "numbers": lambda seed: numbers.case(seed, tally),
+            "documents": lambda seed: documents.case(seed, tally, folder),
+            "kill": lambda seed: processes.kill(seed, tally, folder),
+            "disk": lambda seed: processes.disk(seed, tally, folder),
+            "cache": lambda seed: processes.cache(seed, tally, folder),
+        }
+        documents.originals("log", folder)
+        only, _, seed = (args.only or "").partition(":")
+        if seed:
+            kinds[only](int(seed))
+        else:
+            chosen = {name: kinds[name] for name in ([only] if only else kinds)}
+            _run(chosen, args.seconds, args.seed, tally)
+    print(tally.text())
+    return 1 if tally.counts["violations"] else 0
+
+
+def _run(kinds: dict[str, Callable[[int], None]], seconds: float, seed: int, tally: Tally) -> None:
+    """Each kind in turn, the one furthest behind its share first."""
+    begun, spent = time.monotonic(), dict.fromkeys(kinds, 0.0)
+    made = 0
+    told = begun
+    while (now := time.monotonic()) - begun < seconds:
+        kind = min(kinds, key=lambda name: spent[name] / SHARES[name])
+        kinds[kind]((seed << 32) + made)
+        spent[kind] += time.monotonic() - now
+        made += 1
+        if time.monotonic() - told > 60.0:
+            told = time.monotonic()
+            print(f"{told - begun:.0f} s: {tally.counts['steps']:,} steps", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
