@@ -1,0 +1,305 @@
+"""Several filters at once, one for each way in which the target or a sensor may behave (IMM)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from difffilter.core.beliefs import Belief, Measurement, Record
+from difffilter.core.compression import compress
+from difffilter.core.innovation import innovation_variance
+from difffilter.core.linalg import positive_sqrt
+from difffilter.errors import InputError
+from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
+from difffilter.parameters.constraints import Positive, Simplex
+from difffilter.parameters.parameters import (
+    Number,
+    Parameter,
+    Values,
+    as_number,
+    check_values,
+    declare,
+)
+from difffilter.registry import NAME
+
+__all__ = ["PROBABILITY", "Mixture", "merged"]
+
+#: Memory: logarithm of each mode's probability, (..., K).
+PROBABILITY = "mixture.log_probability"
+#: Least logarithm of a probability: what it may sink to and still come back.
+LEAST = -690.0
+
+
+@dataclass(frozen=True)
+class Mixture(Recipe):
+    """Interacting multiple models (Blom and Bar-Shalom 1988): filters that exchange estimates.
+
+    Every mode is a :class:`Filter` of the same states and channels; they differ in motion, noise,
+    sensors' parameters, weights or gates. Each row, with mode probabilities mu:
+
+    1. *Switching.* At a rate ``modes.rate`` the mode is drawn anew from ``modes.share``, so that
+       P_ij(dt) = exp(-rate dt) [i = j] + (1 - exp(-rate dt)) share_j: exact for uneven times.
+    2. *Mixing.* Mode j starts from the moments of all estimates with the weights
+       mu_i P_ij / c_j, c_j = sum_i mu_i P_ij (:func:`merged`).
+    3. *Each mode's own step*, weights and gates included.
+    4. *Probabilities.* log mu_j = log c_j + sum_c w_c log N_jc + const, with N_jc the nominal
+       density of channel c in mode j, given the channels before it.
+    5. *Output.* The moments of all estimates, with the weights mu.
+
+    **Why w_c.** A mode that rejects a measurement must not win by that, nor lose where all
+    reject: w_c is the largest weight that any mode gives the channel, the same for all modes. What
+    no mode believes says nothing of which mode holds; what one mode believes counts with its full
+    nominal density in every mode, those that reject it included. [reconstruction]
+
+    Attributes:
+        modes: filters by name, two or more for anything to switch.
+        own: patterns (``motion.*``) of the parameters that each mode has for itself, named
+            ``MODE.PARAMETER``. Others are shared where the modes declare them alike.
+        rate: published rate of switching, 1/s.
+        share: published share of each mode in the long run, sum 1; equal if empty.
+        start_sigma: as for a filter; not the modes' own.
+        overrides: declarations that replace the components' own, by name.
+
+    Raises:
+        InputError: no mode, a name that is none, modes of other states or channels, shares that
+            do not fit.
+
+    Example:
+        >>> from difffilter import ConstantVelocity, Filter, Mixture, Position
+        >>> calm, wild = (
+        ...     Filter(ConstantVelocity(2, acceleration=a), (Position(sigma=5.0),)) for a in (0.1, 9.0)
+        ... )
+        >>> sorted(Mixture({"calm": calm, "wild": wild}, rate=0.05).declarations)[:3]
+        ['calm.motion.acceleration', 'modes.rate', 'modes.share']
+    """
+
+    modes: Mapping[str, Filter]
+    own: tuple[str, ...] = ("motion.*",)
+    rate: float = 0.1
+    share: tuple[float, ...] = ()
+    start_sigma: Number | None = None
+    overrides: Mapping[str, Parameter] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise InputError("modes: found none, expected one or more")
+        for name in self.modes:
+            if not NAME.fullmatch(name):
+                raise InputError(f"modes: found name {name!r:.80}, expected a letter, then letters")
+        first = next(iter(self.modes.values()))
+        for name, mode in self.modes.items():
+            if mode.states != first.states or mode.channels != first.channels:
+                raise InputError(
+                    f"modes.{name}: found states {', '.join(mode.states)} and channels "
+                    f"{', '.join(mode.channels)}, expected those of the first mode"
+                )
+        if self.share and len(self.share) != len(self.modes):
+            raise InputError(
+                f"modes.share: found {len(self.share)} numbers, expected {len(self.modes)}"
+            )
+        unknown = set(self.overrides) - set(self._own)
+        if unknown:
+            raise InputError(
+                f"{min(unknown)}: no such parameter, expected one of {', '.join(self._own)}"
+            )
+
+    @property
+    def first(self) -> Filter:
+        """The first mode: its motion and sensors make starts and names."""
+        return next(iter(self.modes.values()))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the n states, alike in all modes."""
+        return self.first.states
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the m channels, alike in all modes."""
+        return self.first.channels
+
+    @cached_property
+    def names(self) -> dict[str, dict[str, str]]:
+        """By mode: the name here of each of the mode's parameters."""
+        declared: dict[str, list[Parameter]] = {}
+        for mode in self.modes.values():
+            for name, parameter in mode.declarations.items():
+                declared.setdefault(name, []).append(parameter)
+
+        def here(mode: str, name: str) -> str:
+            alike = all(other == declared[name][0] for other in declared[name])
+            own = any(fnmatchcase(name, pattern) for pattern in self.own)
+            return name if alike and not own else f"{mode}.{name}"
+
+        return {
+            mode: {name: here(mode, name) for name in filter.declarations if name != "start.sigma"}
+            for mode, filter in self.modes.items()
+        }
+
+    @cached_property
+    def _own(self) -> dict[str, Parameter]:
+        count = len(self.modes)
+        share = self.share or (1.0 / count,) * count
+        declared = [
+            replace(filter.declarations[name], name=here)
+            for mode, filter in self.modes.items()
+            for name, here in self.names[mode].items()
+        ]
+        rate = Parameter("modes.rate", self.rate, Positive(), "1/s", meaning="rate of switching")
+        meaning = "share of each mode in the long run"
+        shares = Parameter(
+            "modes.share", share, Simplex(), labels=tuple(self.modes), meaning=meaning
+        )
+        return declare(
+            [*declared, rate, *([shares] if count > 1 else []), *start_sigma(self)]
+        )
+
+    @cached_property
+    def declarations(self) -> dict[str, Parameter]:
+        """Every parameter, by name."""
+        return declare((self._own | dict(self.overrides)).values())
+
+    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Values:
+        """Constants of a run: each mode's own, named ``MODE/CONSTANT``, and the chain's."""
+        given = check_values(self.declarations, values)
+        dtype = next(iter(given.values())).dtype if given else torch.float64
+        complete = self.published(dtype) | given
+        constants = dict(complete)
+        for mode, filter in self.modes.items():
+            own = {name: complete[here] for name, here in self.names[mode].items()}
+            for name, constant in filter.prepare(own, temperature).items():
+                constants[f"{mode}/{name}"] = constant
+        if len(self.modes) == 1:
+            constants["modes.share"] = torch.ones(1, dtype=dtype)
+        return constants
+
+    def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
+        """Raise InputError if a known input of a mode is missing."""
+        for filter in self.modes.values():
+            filter.check_inputs(inputs)
+
+    def start(self, mean: Tensor, deviations: Tensor) -> Belief:
+        """All modes at the same belief; their probabilities are the shares."""
+        lead = mean.shape[:-1]
+        memory = {PROBABILITY: mean.new_full((*lead, len(self.modes)), torch.nan)}
+        for mode, filter in self.modes.items():
+            belief = filter.start(mean, deviations)
+            memory |= _kept(mode, belief)
+        return Belief(mean, deviations, memory)
+
+    def step(
+        self, constants: Values, belief: Belief, measurement: Measurement
+    ) -> tuple[Belief, Record]:
+        """One row; see the class."""
+        beliefs = [_own_belief(mode, belief.memory) for mode in self.modes]
+        known = belief.memory[PROBABILITY]
+        known = torch.where(torch.isnan(known), constants["modes.share"].log(), known)
+        joint = known.unsqueeze(-1) + _switching(constants, measurement.dt)  # (..., i, j)
+        predicted, mixing = _normalised(joint, -2)
+        predicted = predicted.squeeze(-2)
+        after, records = [], []
+        for j, (mode, filter) in enumerate(self.modes.items()):
+            prior = merged(mixing[..., j], beliefs)._replace(memory=beliefs[j].memory)
+            own = {
+                name[len(mode) + 1 :]: constant
+                for name, constant in constants.items()
+                if name.startswith(f"{mode}/")
+            }
+            posterior, record = filter.step(own, prior, measurement)
+            after.append(posterior)
+            records.append(record)
+        believed = torch.stack([record.weight for record in records]).amax(0)
+        densities = torch.stack(
+            [(believed * record.channel_log_densities).sum(-1) for record in records], dim=-1
+        )
+        total, probability = _normalised(predicted + densities, -1)
+        logarithm = (predicted + densities - total).clamp_min(LEAST)
+        output = merged(probability, after)
+        memory = {PROBABILITY: logarithm}
+        for mode, posterior in zip(self.modes, after, strict=True):
+            memory |= _kept(mode, posterior)
+        return output._replace(memory=memory), _record(predicted.exp(), probability, records)
+
+
+def merged(weights: Tensor, beliefs: Sequence[Belief]) -> Belief:
+    """Mean and deviations with the moments of a mixture of beliefs with weights (..., K).
+
+    m = sum w_i m_i and P = sum w_i (P_i + (m_i - m)(m_i - m)^T), as columns: semidefinite by
+    construction.
+    """
+    if len(beliefs) == 1:
+        return beliefs[0]
+    each = weights.unbind(-1)
+    mean = sum((w.unsqueeze(-1) * b.mean for w, b in zip(each, beliefs, strict=True)), 0.0)
+    assert isinstance(mean, Tensor)
+    columns = []
+    for w, b in zip(each, beliefs, strict=True):
+        root = positive_sqrt(w)[..., None, None]
+        columns += [root * b.deviations, root * (b.mean - mean).unsqueeze(-1)]
+    return Belief(mean, compress(*columns))
+
+
+def _normalised(logarithm: Tensor, dim: int) -> tuple[Tensor, Tensor]:
+    """log sum exp along a dimension, kept, and the shares of it."""
+    largest = logarithm.amax(dim, keepdim=True)
+    parts = (logarithm - largest).exp()
+    total = parts.sum(dim, keepdim=True)
+    return largest + total.log(), parts / total
+
+
+def _switching(constants: Values, dt: Tensor) -> Tensor:
+    """log P_ij(dt), (..., K, K)."""
+    share = constants["modes.share"]
+    kept = (-constants["modes.rate"] * dt)[..., None, None].exp()
+    unit = torch.eye(len(share), dtype=share.dtype, device=share.device)
+    return (kept * unit + (1.0 - kept) * share).clamp_min(torch.finfo(share.dtype).tiny).log()
+
+
+def _kept(mode: str, belief: Belief) -> dict[str, Tensor]:
+    """A mode's belief as memory of the mixture."""
+    named = {"mean": belief.mean, "deviations": belief.deviations, **belief.memory}
+    return {f"{mode}/{name}": value for name, value in named.items()}
+
+
+def _own_belief(mode: str, memory: Mapping[str, Tensor]) -> Belief:
+    """A mode's belief out of the memory of the mixture."""
+    own = {
+        name[len(mode) + 1 :]: value
+        for name, value in memory.items()
+        if name.startswith(f"{mode}/")
+    }
+    return Belief(own.pop("mean"), own.pop("deviations"), own)
+
+
+def _record(predicted: Tensor, probability: Tensor, records: Sequence[Record]) -> Record:
+    """Of the mixture: nominal moments by the predicted probabilities, weights by the final ones."""
+    if len(records) == 1:
+        return records[0]
+
+    def mean(weights: Tensor, parts: Sequence[Tensor]) -> Tensor:
+        return (torch.stack([*parts], dim=-1) * weights.unsqueeze(-2)).sum(-1)
+
+    first = records[0]
+    innovation = mean(predicted, [record.innovation for record in records])
+    columns = []
+    for root, record in zip(positive_sqrt(predicted).unbind(-1), records, strict=True):
+        root = root[..., None, None]
+        apart = (innovation - record.innovation).unsqueeze(-1)
+        columns += [root * record.observed, root * apart]
+    return Record(
+        innovation=innovation,
+        observed=torch.cat(columns, dim=-1),
+        noise=mean(predicted, [record.noise for record in records]),
+        standardised=mean(probability, [record.standardised for record in records]),
+        weight=mean(probability, [record.weight for record in records]),
+        prior_weight=mean(probability, [record.prior_weight for record in records]),
+        gate=mean(probability, [record.gate for record in records]),
+        present=first.present,
+        isolated=first.isolated,
+    )
