@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from difffilter.core.innovation import innovation_variance, log_density, nis
+from difffilter.core.innovation import innovation_variance, log_densities, log_density, nis
 from difffilter.core.linalg import semidefinite_cholesky
 from difffilter.errors import InputError
 
@@ -83,6 +83,11 @@ class Record(NamedTuple):
     def nis(self) -> Tensor:
         """(...), nu^T S^-1 nu over the present channels; 0 with none."""
         return nis(self.observed, self.noise, self.innovation, self.present)
+
+    @property
+    def log_densities(self) -> Tensor:
+        """(..., m), log density of each innovation given those before it; 0 where missing."""
+        return log_densities(self.observed, self.noise, self.innovation, self.present)
 
     @property
     def log_density(self) -> Tensor:

@@ -10,7 +10,7 @@ from torch import Tensor
 from difffilter.core.equations import ChannelUpdate, sweep
 from difffilter.core.linalg import square_norms
 
-__all__ = ["innovation_variance", "log_density", "nis"]
+__all__ = ["innovation_variance", "log_densities", "log_density", "nis"]
 
 
 def innovation_variance(observed: Tensor, noise: Tensor) -> Tensor:
@@ -25,20 +25,25 @@ def nis(observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor) ->
     its variance then: what the update itself goes through. No matrix is formed or factored,
     so that it is right however large Z Z^T is beside the noise.
     """
-    return _channels(observed, noise, innovation, present)[0]
+    return _channels(observed, noise, innovation, present)[0].sum(-1)
+
+
+def log_densities(observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor) -> Tensor:
+    """(..., m), log density of each channel's innovation given those before; 0 where missing."""
+    squares, logarithms = _channels(observed, noise, innovation, present)
+    each = -0.5 * (squares + logarithms + math.log(2.0 * math.pi))
+    return torch.where(present, each, 0.0)
 
 
 def log_density(observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor) -> Tensor:
-    """(...), log N(nu; 0, S) over the present channels, by the same sums; 0 with none."""
-    squares, logarithms = _channels(observed, noise, innovation, present)
-    count = present.to(noise.dtype).sum(-1)
-    return -0.5 * (squares + logarithms + math.log(2.0 * math.pi) * count)
+    """(...), log N(nu; 0, S) over the present channels, the sum of theirs; 0 with none."""
+    return log_densities(observed, noise, innovation, present).sum(-1)
 
 
 def _channels(
     observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Sums over the present channels of e_i^2 / s_i and of log s_i."""
+    """(..., m) each, e_i^2 / s_i and log s_i of the present channels."""
     weight = present.to(noise.dtype)
     kept: list[ChannelUpdate] = []
     noise = torch.where(present, noise, 1.0)
@@ -46,4 +51,4 @@ def _channels(
     # The last entry of a gain row is w e / s, and w is 0 or 1.
     gain = torch.stack([update.gain_row[-1, 0] for update in kept], dim=-1)
     s = torch.stack([update.s for update in kept], dim=-1)
-    return (gain.square() * s).sum(-1), (weight * s.log()).sum(-1)
+    return gain.square() * s, weight * s.log()

@@ -12,11 +12,10 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.core.compression import compress
-from difffilter.core.innovation import innovation_variance
 from difffilter.core.linalg import positive_sqrt
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
-from difffilter.filters.recipe import Recipe
+from difffilter.filters.recipe import Recipe, declared_start
 from difffilter.parameters.constraints import Positive, Simplex
 from difffilter.parameters.parameters import (
     Number,
@@ -72,9 +71,9 @@ class Mixture(Recipe):
 
     Example:
         >>> from difffilter import ConstantVelocity, Filter, Mixture, Position
-        >>> calm, wild = (
-        ...     Filter(ConstantVelocity(2, acceleration=a), (Position(sigma=5.0),)) for a in (0.1, 9.0)
-        ... )
+        >>> radar = (Position(sigma=5.0),)
+        >>> calm = Filter(ConstantVelocity(2, acceleration=0.1), radar)
+        >>> wild = Filter(ConstantVelocity(2, acceleration=9.0), radar)
         >>> sorted(Mixture({"calm": calm, "wild": wild}, rate=0.05).declarations)[:3]
         ['calm.motion.acceleration', 'modes.rate', 'modes.share']
     """
@@ -124,6 +123,11 @@ class Mixture(Recipe):
         """Names of the m channels, alike in all modes."""
         return self.first.channels
 
+    @property
+    def iterations(self) -> int:
+        """How often a step conditions beyond once, over all modes."""
+        return sum(1 + mode.iterations for mode in self.modes.values()) - 1
+
     @cached_property
     def names(self) -> dict[str, dict[str, str]]:
         """By mode: the name here of each of the mode's parameters."""
@@ -133,7 +137,11 @@ class Mixture(Recipe):
                 declared.setdefault(name, []).append(parameter)
 
         def here(mode: str, name: str) -> str:
-            alike = all(other == declared[name][0] for other in declared[name])
+            first = declared[name][0]
+            # Constraints may differ: the scale of a bias is that of its sigma.
+            alike = all(
+                replace(other, constraint=first.constraint) == first for other in declared[name]
+            )
             own = any(fnmatchcase(name, pattern) for pattern in self.own)
             return name if alike and not own else f"{mode}.{name}"
 
@@ -146,19 +154,27 @@ class Mixture(Recipe):
     def _own(self) -> dict[str, Parameter]:
         count = len(self.modes)
         share = self.share or (1.0 / count,) * count
-        declared = [
-            replace(filter.declarations[name], name=here)
-            for mode, filter in self.modes.items()
-            for name, here in self.names[mode].items()
-        ]
+        declared: dict[str, Parameter] = {}
+        for mode, filter in self.modes.items():
+            for name, here in self.names[mode].items():
+                declared.setdefault(here, replace(filter.declarations[name], name=here))
         rate = Parameter("modes.rate", self.rate, Positive(), "1/s", meaning="rate of switching")
         meaning = "share of each mode in the long run"
         shares = Parameter(
             "modes.share", share, Simplex(), labels=tuple(self.modes), meaning=meaning
         )
-        return declare(
-            [*declared, rate, *([shares] if count > 1 else []), *start_sigma(self)]
-        )
+        own = [*declared.values(), rate, *([shares] if count > 1 else [])]
+        if self.start_sigma is not None:
+            own.append(declared_start(self.start_sigma, self.states))
+        return declare(own)
+
+    def with_values(self, values: Values) -> Mixture:
+        """The same mixture with other declared values; InputError if one does not fit."""
+        changed = {
+            name: replace(self.declarations[name], value=as_number(value))
+            for name, value in check_values(self.declarations, values).items()
+        }
+        return replace(self, overrides=dict(self.overrides) | changed)
 
     @cached_property
     def declarations(self) -> dict[str, Parameter]:
@@ -216,7 +232,7 @@ class Mixture(Recipe):
             records.append(record)
         believed = torch.stack([record.weight for record in records]).amax(0)
         densities = torch.stack(
-            [(believed * record.channel_log_densities).sum(-1) for record in records], dim=-1
+            [(believed * record.log_densities).sum(-1) for record in records], dim=-1
         )
         total, probability = _normalised(predicted + densities, -1)
         logarithm = (predicted + densities - total).clamp_min(LEAST)

@@ -28,7 +28,7 @@ from difffilter.sensors.information import common_noise
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.stations import StationSensor
 
-__all__ = ["RULES", "Declared", "Modelled", "Recipe"]
+__all__ = ["RULES", "Declared", "Modelled", "Recipe", "declared_start"]
 
 RULES = ("taylor", "cubature")
 
@@ -158,7 +158,7 @@ class Modelled(Recipe):
         own = [p for part in parts for p in part.parameters]
         own += self._more_parameters
         if self.start_sigma is not None:
-            own.append(_start_sigma(self.start_sigma, self.states))
+            own.append(declared_start(self.start_sigma, self.states))
         return declare(own)
 
     @cached_property
@@ -214,7 +214,7 @@ def check_independent(sensors: tuple[Sensor, ...], who: str) -> None:
             )
 
 
-def _start_sigma(start_sigma: Number, states: tuple[str, ...]) -> Parameter:
+def declared_start(start_sigma: Number, states: tuple[str, ...]) -> Parameter:
     """Declaration of ``start.sigma``."""
     sigma = as_number(start_sigma)
     shape = torch.tensor(sigma).shape

@@ -51,8 +51,7 @@ def imm(
         for j in range(count):
             m = sum(mixed[i, j] * means[i] for i in range(count))
             p = sum(
-                mixed[i, j] * (covs[i] + np.outer(means[i] - m, means[i] - m))
-                for i in range(count)
+                mixed[i, j] * (covs[i] + np.outer(means[i] - m, means[i] - m)) for i in range(count)
             )
             priors.append((m, p))
         likelihood = np.zeros(count)
@@ -64,7 +63,9 @@ def imm(
             s = h @ p @ h.T + r
             gain = p @ h.T @ np.linalg.inv(s)
             means[j], covs[j] = m + gain @ nu, p - gain @ s @ gain.T
-            likelihood[j] = -0.5 * (nu @ np.linalg.solve(s, nu) + np.log(np.linalg.det(2 * np.pi * s)))
+            likelihood[j] = -0.5 * (
+                nu @ np.linalg.solve(s, nu) + np.log(np.linalg.det(2 * np.pi * s))
+            )
         logarithm = np.log(predicted) + likelihood
         probability = np.exp(logarithm - logarithm.max())
         probability = probability / probability.sum()
