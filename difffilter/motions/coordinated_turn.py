@@ -23,10 +23,12 @@ class CoordinatedTurn(ConstantVelocity):
     F = [[1, 0, sin(wT)/w, -(1 - cos wT)/w], [0, 1, (1 - cos wT)/w, sin(wT)/w],
     [0, 0, cos wT, -sin wT], [0, 0, sin wT, cos wT]] (paper 4's F_CT, states x, y, vx, vy),
     straight ahead at w = 0. The rate is the parameter ``motion.turn_rate``, or a known input
-    ``turn_rate`` of the log.
+    ``turn_rate`` of the log. ``reverse`` turns to the other side at the same rate, so that two
+    modes of a :class:`difffilter.Mixture` share one number.
     """
 
     turn_rate: float = 0.0
+    reverse: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -45,6 +47,7 @@ class CoordinatedTurn(ConstantVelocity):
 
     def move(self, rows: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
         rate = inputs.get("turn_rate", constants["motion.turn_rate"])
+        rate = -rate if self.reverse else rate
         angle = rate * dt
         # sin(a)/a and (1 - cos a)/a, their values and gradients also at a = 0.
         along = torch.sinc(angle / torch.pi) * dt

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from difffilter.adaptation.registry import Host
 from difffilter.baselines.least_squares import Snapshot
 from difffilter.baselines.registry import BASELINES, Given
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.mixture import Mixture
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import Number
 from difffilter.robust.groups import channel_groups
@@ -22,7 +24,7 @@ from difffilter.weights.registry import WEIGHTS
 __all__ = ["System", "build_system"]
 
 #: What a scenario calls a system: a recursive filter, or a baseline estimator.
-System = Filter | Snapshot
+System = Filter | Mixture | Snapshot
 
 
 def build_system(
@@ -37,7 +39,7 @@ def build_system(
 
     ``velocity`` is the target's, where the scenario's start knows it.
     """
-    parameters = _own_values(spec, parameters)
+    parameters = _own_values(spec.where, spec.name, spec.values, parameters)
 
     def value(name: str) -> Number | None:
         return parameters[name].value if name in parameters else None
@@ -71,9 +73,12 @@ def build_system(
         known_velocity=velocity,
     )
     try:
-        bare = (
-            _filter(spec, given) if spec.estimator == "filter" else BASELINES[spec.estimator](given)
-        )
+        if spec.estimator != "filter":
+            bare = BASELINES[spec.estimator](given)
+        elif spec.modes:
+            bare = _mixture(spec, given, motion, parameters)
+        else:
+            bare = _filter(spec.options, given)
         own = bare.declarations
     except InputError as error:
         raise where(error) from None
@@ -85,26 +90,51 @@ def build_system(
 
 
 def _own_values(
-    spec: SystemSpec, parameters: Mapping[str, ParameterSpec]
+    where: str, name: str, values: Mapping[str, Number], parameters: Mapping[str, ParameterSpec]
 ) -> Mapping[str, ParameterSpec]:
-    """The scenario's parameters with the system's own values in their place."""
-    where = f"{spec.where}.values"
+    """The scenario's parameters with the own values of a system or mode in their place."""
+    where = f"{where}.values"
     blank = ParameterSpec(where, 0.0, "", "", tuned=False, prior=None)
     own = {
-        name: replace(
-            parameters.get(name, blank), where=f"{where}.{name}", value=value, source=f"{spec.name}"
-        )
-        for name, value in spec.values.items()
+        key: replace(parameters.get(key, blank), where=f"{where}.{key}", value=value, source=name)
+        for key, value in values.items()
     }
     return {**parameters, **own}
 
 
-def _filter(spec: SystemSpec, given: Given) -> Filter:
+def _filter(wanted: Mapping[str, Any], given: Given) -> Filter:
     """The recipe alone."""
     counts = [len(sensor.channels) for sensor in given.sensors]
     channels = [c for sensor in given.sensors for c in sensor.channels]
-    host = Host(
-        WEIGHTS[spec.options["weight"]], channel_groups("sensor", channels, counts), given.axes
-    )
-    options = {key: option.make(spec.options[key], host) for key, option in OPTIONS.items()}
+    host = Host(WEIGHTS[wanted["weight"]], channel_groups("sensor", channels, counts), given.axes)
+    options = {key: option.make(wanted[key], host) for key, option in OPTIONS.items()}
     return Filter(given.motion, given.sensors, start_sigma=given.start_sigma, **options)
+
+
+def _mixture(
+    spec: SystemSpec,
+    given: Given,
+    motion: MotionSpec,
+    parameters: Mapping[str, ParameterSpec],
+) -> Mixture:
+    """The filters of a system's modes: each with its motion, options and published values."""
+    modes = {}
+    for mode in spec.modes:
+        own = _own_values(f"{spec.where}.modes.{mode.name}", mode.name, mode.values, parameters)
+        kind = mode.motion or motion
+        level = own.get(kind.parameter)
+        if level is None:
+            raise InputError(f"modes.{mode.name}: needs [parameters.{kind.parameter}], found none")
+        part = replace(
+            given,
+            start_sigma=None,
+            moving=lambda kind=kind, level=level: kind.build(given.axes, level.value),
+        )
+        filter = _filter(mode.options, part)
+        declared = {
+            name: p.declare(filter.declarations[name])
+            for name, p in own.items()
+            if name in filter.declarations
+        }
+        modes[mode.name] = replace(filter, overrides=declared)
+    return Mixture(modes, own=spec.own, start_sigma=given.start_sigma)

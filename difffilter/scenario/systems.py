@@ -10,12 +10,15 @@ from difffilter.baselines.registry import BASELINES
 from difffilter.errors import InputError, shown
 from difffilter.motions.blocks import NOISES, ConstantVelocity, CoordinatedTurn
 from difffilter.parameters.parameters import Number, Parameter, as_number
+from difffilter.scenario.modes import ModeSpec, read_modes
 from difffilter.scenario.options import OPTIONS, adaptation_names
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import MEASURES, Table
 
 __all__ = ["MotionSpec", "ParameterSpec", "SystemSpec", "read_system", "recipes"]
 
+#: Patterns of the parameters that each mode of a system has for itself.
+OWN = ("motion.*",)
 MODELS = ("constant-velocity", "coordinated-turn")
 
 
@@ -75,6 +78,8 @@ class SystemSpec:
         options: of a filter, by key (see :mod:`difffilter.scenario.options`).
         common_noise: whether a TDOA sensor's noise is partly common to its channels.
         values: published values of its own, by parameter.
+        modes: filters that run at once, see :class:`difffilter.Mixture`; own: patterns of the
+            parameters that each of them has for itself.
     """
 
     name: str
@@ -85,6 +90,8 @@ class SystemSpec:
     sensors: tuple[str, ...]
     values: Mapping[str, Number]
     note: str
+    modes: tuple[ModeSpec, ...] = ()
+    own: tuple[str, ...] = OWN
 
     @property
     def clairvoyant(self) -> bool:
@@ -101,7 +108,14 @@ class SystemSpec:
             "common_noise": self.common_noise,
             "sensors": self.sensors,
             "values": self.values,
+            **self._several,
         }
+
+    @property
+    def _several(self) -> dict[str, Any]:
+        if not self.modes:
+            return {}
+        return {"modes": {mode.name: mode.as_dict() for mode in self.modes}, "own": self.own}
 
 
 def read_motion(table: Table) -> MotionSpec:
@@ -126,7 +140,14 @@ def read_system(name: str, table: Table, sensors: Mapping[str, SensorSpec]) -> S
         sensors=table.names("sensors", own),
         values=_read_values(table.table("values", optional=True)),
         note=table.text("note", ""),
+        modes=read_modes(table.table("modes", optional=True), read_motion),
+        own=table.names("own", OWN),
     )
+    for key in OPTIONS:
+        if spec.modes and key in table:
+            table.fail(key, "no such key beside modes: each mode has its own")
+    if spec.modes and spec.estimator != "filter":
+        table.fail("modes", f"no such key beside estimator = {spec.estimator!r}")
     if not spec.sensors or len(set(spec.sensors)) != len(spec.sensors):
         table.fail("sensors", "one name or more, none twice")
     for sensor in spec.sensors:
