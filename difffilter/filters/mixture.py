@@ -26,6 +26,7 @@ from difffilter.parameters.parameters import (
     declare,
 )
 from difffilter.registry import NAME
+from difffilter.sensors.sensor import Sensor
 
 __all__ = ["PROBABILITY", "Mixture", "merged"]
 
@@ -114,6 +115,11 @@ class Mixture(Recipe):
         return next(iter(self.modes.values()))
 
     @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """Those of the first mode, for starts and names."""
+        return self.first.sensors
+
+    @property
     def states(self) -> tuple[str, ...]:
         """Names of the n states, alike in all modes."""
         return self.first.states
@@ -187,6 +193,8 @@ class Mixture(Recipe):
         dtype = next(iter(given.values())).dtype if given else torch.float64
         complete = self.published(dtype) | given
         constants = dict(complete)
+        first = {name: complete[here] for name, here in self.names[next(iter(self.modes))].items()}
+        constants.update(self.first.prepare(first, temperature))  # what a start reads
         for mode, filter in self.modes.items():
             own = {name: complete[here] for name, here in self.names[mode].items()}
             for name, constant in filter.prepare(own, temperature).items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from difffilter.adaptation.registry import Host
@@ -73,6 +74,7 @@ def build_system(
         known_velocity=velocity,
     )
     try:
+        bare: System
         if spec.estimator != "filter":
             bare = BASELINES[spec.estimator](given)
         elif spec.modes:
@@ -128,7 +130,7 @@ def _mixture(
         part = replace(
             given,
             start_sigma=None,
-            moving=lambda kind=kind, level=level: kind.build(given.axes, level.value),
+            moving=partial(kind.build, given.axes, level.value),
         )
         filter = _filter(mode.options, part)
         declared = {

@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
@@ -115,7 +116,7 @@ def estimate(
         NonFiniteError: names the first trajectory, step and state or channel.
     """
     log = log.only(system.channels)
-    if isinstance(system, Filter):
+    if isinstance(system, Recipe):
         return run(
             system, log, values, start, temperature=temperature, progress=progress, engine=engine
         )
