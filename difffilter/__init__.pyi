@@ -54,6 +54,7 @@ from difffilter.errors import RankError as RankError
 from difffilter.export.c99 import export_c as export_c
 from difffilter.filters.filter import Filter as Filter
 from difffilter.filters.fusion import Fusion as Fusion
+from difffilter.filters.mixture import Mixture as Mixture
 from difffilter.filters.recipe import Recipe as Recipe
 from difffilter.filters.stepping import step as step
 from difffilter.logs.family import Family as Family

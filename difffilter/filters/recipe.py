@@ -62,6 +62,11 @@ class Recipe(Declared):
     :func:`difffilter.run`, the tracker, tuning and the engine work on any recipe.
     """
 
+    @property
+    def iterations(self) -> int:
+        """How often a step conditions beyond once."""
+        return 0
+
     @abstractmethod
     def with_values(self, values: Values) -> Self:
         """The same recipe with other declared values; InputError if one does not fit."""

@@ -9,7 +9,7 @@ from tqdm import tqdm
 from difffilter.core.beliefs import Belief, Measurement, Record, belief
 from difffilter.engine.choice import ENGINES, eager_seconds, with_engine
 from difffilter.errors import InputError, NonFiniteError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.filters.stepping import step
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
@@ -18,7 +18,7 @@ from difffilter.parameters.parameters import Values
 __all__ = ["ENGINES", "check_finite", "eager", "prepared", "run", "start_belief"]
 
 
-def start_belief(filter: Filter, constants: Values, start: Start) -> Belief:
+def start_belief(filter: Recipe, constants: Values, start: Start) -> Belief:
     """Belief at the start; the filter's ``start.sigma`` where no covariance is given."""
     mean = start.mean
     if start.covariance is not None:
@@ -32,7 +32,7 @@ def start_belief(filter: Filter, constants: Values, start: Start) -> Belief:
 
 
 def run(
-    filter: Filter,
+    filter: Recipe,
     log: Log,
     values: Values | None = None,
     start: Start | Belief | None = None,
@@ -83,7 +83,7 @@ def run(
 
 
 def prepared(
-    filter: Filter,
+    filter: Recipe,
     log: Log,
     values: Values | None = None,
     start: Start | Belief | None = None,
@@ -121,7 +121,7 @@ def prepared(
 
 
 def eager(
-    filter: Filter,
+    filter: Recipe,
     constants: Values,
     log: Log,
     current: Belief,

@@ -57,11 +57,12 @@ class MotionSpec:
 
     noise: str
     model: str = "constant-velocity"
+    reverse: bool = False
 
     def build(self, axes: int, level: Number) -> ConstantVelocity:
         """The model at a level of noise."""
         if self.model == "coordinated-turn":
-            return CoordinatedTurn(axes, self.noise, level)
+            return CoordinatedTurn(axes, self.noise, level, reverse=self.reverse)
         return ConstantVelocity(axes, self.noise, level)
 
     @property
@@ -123,6 +124,7 @@ def read_motion(table: Table) -> MotionSpec:
     spec = MotionSpec(
         table.text("noise", "discrete", choices=NOISES),
         table.text("model", "constant-velocity", choices=MODELS),
+        table.flag("reverse"),
     )
     table.finish()
     return spec

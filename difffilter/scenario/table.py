@@ -26,6 +26,7 @@ LABEL = "a name: a letter, then letters, digits, _ and -, at most 64"
 MEASURES = {
     "m": {"m": 1.0, "km": 1e3, "cm": 1e-2, "us": 299.792458, "ns": 0.299792458},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180.0},
 }
 
 
