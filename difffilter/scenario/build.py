@@ -74,13 +74,7 @@ def build_system(
         known_velocity=velocity,
     )
     try:
-        bare: System
-        if spec.estimator != "filter":
-            bare = BASELINES[spec.estimator](given)
-        elif spec.modes:
-            bare = _mixture(spec, given, motion, parameters)
-        else:
-            bare = _filter(spec.options, given)
+        bare = _bare(spec, given, motion, parameters)
         own = bare.declarations
     except InputError as error:
         raise where(error) from None
@@ -102,6 +96,20 @@ def _own_values(
         for key, value in values.items()
     }
     return {**parameters, **own}
+
+
+def _bare(
+    spec: SystemSpec,
+    given: Given,
+    motion: MotionSpec,
+    parameters: Mapping[str, ParameterSpec],
+) -> System:
+    """The recipe or baseline before the scenario's values are declared."""
+    if spec.estimator != "filter":
+        return BASELINES[spec.estimator](given)
+    if spec.modes:
+        return _mixture(spec, given, motion, parameters)
+    return _filter(spec.options, given)
 
 
 def _filter(wanted: Mapping[str, Any], given: Given) -> Filter:
