@@ -1,5 +1,5 @@
 # make reproduce   everything, from an empty checkout to report/
-# make test        lint, formatting, types, tests
+# make test        lint, formatting, types, layers, tests
 # make bench       speed, memory and start beside JAX and others (an extra, installed on demand)
 # make docs        this documentation as a site, with the API reference: site/index.html
 # Each sets up .venv first. QUICK=1 makes reproduce a matter of a minute.
@@ -32,6 +32,7 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo --no-cache
 
 docs: setup
 	NO_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict --quiet

@@ -1,0 +1,1 @@
+"""Scenario files: worlds, sensors, systems and what to tune, as data; and frozen values."""
