@@ -67,7 +67,7 @@ def read_log(
         table, name = read_table(path, form.separator, form.decimal), path.stem
     else:
         table, name = table_of(source), "frame"
-    return read_table_as_log(table, form, channels, inputs, limits, (), name).log
+    return read_table_as_log(table, form, channels, inputs, limits, name=name).log
 
 
 def write_log(path: str | Path, log: Log, mark: str = "") -> None:

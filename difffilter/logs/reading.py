@@ -56,7 +56,9 @@ def reading(
     if not form.sources or path.is_file():
         layout = form.layout
         table = read_table(path, layout.separator, layout.decimal)
-        return read_table_as_log(table, layout, channels, inputs, bounds, optional, path.stem)
+        return read_table_as_log(
+            table, layout, channels, inputs, bounds, optional=optional, name=path.stem
+        )
     sheets = []
     for source in form.sources:
         place = path.parent / source.file.replace("{run}", path.name)

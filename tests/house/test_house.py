@@ -16,8 +16,8 @@ NAMES = {
     path: path.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for path in TREES
 }
 LONG_FILES: set[str] = {
+    "difffilter/scenario/checkpoint.py",
     "difffilter/robust/weighing.py",
-    "difffilter/tuning/descent.py",
 }
 LONG_FUNCTIONS: set[tuple[str, str]] = {
     ("difffilter/baselines/chan.py", "chan"),
@@ -28,7 +28,6 @@ LONG_FUNCTIONS: set[tuple[str, str]] = {
     ("difffilter/start/bearings.py", "from_bearings"),
     ("difffilter/start/fit.py", "gauss_newton"),
     ("difffilter/start/measurements.py", "from_measurements"),
-    ("difffilter/tuning/descent.py", "_descend"),
     ("difffilter/tuning/loop.py", "tune"),
     ("training/bearing/run.py", "main"),
     ("training/uwb/run.py", "main"),
@@ -44,9 +43,6 @@ LONG_CALLS: set[tuple[str, str]] = {
     ("difffilter/reports/figures/tracks.py", "_draw_error"),
     ("difffilter/robust/weighing.py", "Record"),
     ("difffilter/running/batch.py", "Track"),
-    ("difffilter/scoring/loss.py", "Loss"),
-    ("difffilter/tuning/descent.py", "self._descend"),
-    ("difffilter/tuning/loop.py", "Descent"),
     ("difffilter/verdict/contests.py", "_course"),
 }
 SHADOWED = {"difffilter/baselines/__init__.py"}
