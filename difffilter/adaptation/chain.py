@@ -12,7 +12,8 @@ from difffilter.adaptation.protocol import Adaptation
 from difffilter.core.equations import Conditioned
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 
 __all__ = ["Chain"]
 
@@ -60,7 +61,7 @@ class Chain:
         return {k: v for part in self.parts for k, v in part.memory(mean, channels).items()}
 
     def before_predict(
-        self, memory: Memory, process: Tensor, inputs: Memory, constants: Values
+        self, memory: Memory, process: Tensor, inputs: Memory, constants: Constants
     ) -> Tensor:
         """Process noise through all parts."""
         for part in self.parts:
@@ -73,7 +74,7 @@ class Chain:
         linearised: Linearised,
         present: Tensor,
         inputs: Memory,
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Memory]:
         """The linearised step through all parts."""
         for part in self.parts:
@@ -88,7 +89,7 @@ class Chain:
         conditioned: Conditioned,
         weight: Tensor,
         present: Tensor,
-        constants: Values,
+        constants: Constants,
     ) -> Memory:
         """Memory of all parts."""
         for part in self.parts:

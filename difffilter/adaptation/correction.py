@@ -12,7 +12,8 @@ from difffilter.adaptation.passive import Memory, Passive, jacobian
 from difffilter.core.linalg import minimum_norm
 from difffilter.core.linearised import Linearised
 from difffilter.parameters.constraints import Positive
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 from difffilter.weights.weight import soft_relu
 
 __all__ = ["PredictionCorrection", "corrected", "excess"]
@@ -49,7 +50,7 @@ class PredictionCorrection(Passive):
         linearised: Linearised,
         present: Tensor,
         inputs: Memory,
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Memory]:
         """The step linearised at the corrected mean, with the noise that it had."""
         d = excess(linearised, present, constants)
@@ -63,7 +64,7 @@ class PredictionCorrection(Passive):
         return moved, memory
 
 
-def excess(linear: Linearised, present: Tensor, constants: Values) -> Tensor:
+def excess(linear: Linearised, present: Tensor, constants: Constants) -> Tensor:
     """d (..., m): what of each innovation exceeds lambda standard deviations; 0 where missing."""
     size = linear.innovation.abs()
     bound = constants["correction.lambda"] * linear.innovation_variance.sqrt()

@@ -14,7 +14,8 @@ from difffilter.core.linalg import positive_sqrt, square_norms
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Bounded, Interval, Positive
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 
 __all__ = ["Credibility"]
 
@@ -107,7 +108,7 @@ class Credibility:
         }
 
     def before_predict(
-        self, memory: Memory, process: Tensor, inputs: Memory, constants: Values
+        self, memory: Memory, process: Tensor, inputs: Memory, constants: Constants
     ) -> Tensor:
         """Process noise raised where the systems drift off together."""
         if self.ideal:
@@ -125,7 +126,7 @@ class Credibility:
         linearised: Linearised,
         present: Tensor,
         inputs: Memory,
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Memory]:
         """R of each system such that it counts its share of the information."""
         nominal = inputs["ideal.variance"] if self.ideal else linearised.total
@@ -147,7 +148,7 @@ class Credibility:
         nominal: Tensor,
         averaged: Tensor,
         present: Tensor,
-        constants: Values,
+        constants: Constants,
     ) -> Tensor:
         """(..., m), factor on each channel's information, equal within a system.
 
@@ -187,7 +188,7 @@ class Credibility:
         return torch.stack([x[..., [*system]].sum(-1) for system in self.systems], dim=-1)
 
     def shares(
-        self, geometry: Tensor, averaged: Tensor, present: Tensor, constants: Values
+        self, geometry: Tensor, averaged: Tensor, present: Tensor, constants: Constants
     ) -> Tensor:
         """gamma (..., N): positive where present, 0 elsewhere, their sum 1 (0 with none present).
 
@@ -212,7 +213,7 @@ class Credibility:
         conditioned: Conditioned,
         weight: Tensor,
         present: Tensor,
-        constants: Values,
+        constants: Constants,
     ) -> Memory:
         """Average of the shift of the position, in its standard deviations."""
         if self.ideal:

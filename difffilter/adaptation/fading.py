@@ -12,7 +12,8 @@ from difffilter.core.compression import compress
 from difffilter.core.linalg import square_norms
 from difffilter.core.linearised import Linearised
 from difffilter.parameters.constraints import Interval, Positive
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 from difffilter.weights.registry import plain
 from difffilter.weights.weight import Weight
 
@@ -70,7 +71,7 @@ class StrongTracking(Passive):
         linearised: Linearised,
         present: Tensor,
         inputs: Memory,
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Memory]:
         """The step linearised with the faded covariance."""
         e, rho = linearised.innovation, constants["fading.rho"]

@@ -11,7 +11,8 @@ from difffilter.adaptation.passive import Memory, Passive
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Interval, Positive
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 
 __all__ = ["BEFORE", "FLAG", "MATCHED", "InnovationMatching"]
 
@@ -86,7 +87,7 @@ class InnovationMatching(Passive):
         linearised: Linearised,
         present: Tensor,
         inputs: Memory,
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Memory]:
         """R raised where the row is flagged; the history goes on."""
         variance = linearised.innovation_variance

@@ -11,7 +11,8 @@ from torch import Tensor
 from difffilter.core.cubature import halves
 from difffilter.core.equations import Conditioned
 from difffilter.core.linearised import Linearised
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 
 __all__ = ["Memory", "Passive", "jacobian"]
 
@@ -32,7 +33,7 @@ class Passive:
         return {}
 
     def before_predict(
-        self, memory: Memory, process: Tensor, inputs: Memory, constants: Values
+        self, memory: Memory, process: Tensor, inputs: Memory, constants: Constants
     ) -> Tensor:
         """Deviations of the process noise, as they are."""
         return process
@@ -43,7 +44,7 @@ class Passive:
         linearised: Linearised,
         present: Tensor,
         inputs: Memory,
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Memory]:
         """The linearised step, as it is."""
         return linearised, memory
@@ -55,7 +56,7 @@ class Passive:
         conditioned: Conditioned,
         weight: Tensor,
         present: Tensor,
-        constants: Values,
+        constants: Constants,
     ) -> Memory:
         """The memory, as it is."""
         return memory

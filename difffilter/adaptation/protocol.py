@@ -9,7 +9,8 @@ from torch import Tensor
 
 from difffilter.core.equations import Conditioned
 from difffilter.core.linearised import Linearised
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 
 __all__ = ["Adaptation"]
 
@@ -32,7 +33,7 @@ class Adaptation(Protocol):
         memory: Mapping[str, Tensor],
         process: Tensor,
         inputs: Mapping[str, Tensor],
-        constants: Values,
+        constants: Constants,
     ) -> Tensor:
         """Adapt the deviations (..., n, q) of the process noise."""
 
@@ -42,7 +43,7 @@ class Adaptation(Protocol):
         linearised: Linearised,
         present: Tensor,
         inputs: Mapping[str, Tensor],
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Mapping[str, Tensor]]:
         """Adapt the linearised step; returns it with the new memory."""
 
@@ -53,6 +54,6 @@ class Adaptation(Protocol):
         conditioned: Conditioned,
         weight: Tensor,
         present: Tensor,
-        constants: Values,
+        constants: Constants,
     ) -> Mapping[str, Tensor]:
         """New memory, from what the update did with the final weights (..., m)."""

@@ -14,7 +14,8 @@ from difffilter.core.linalg import positive_sqrt
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import OrderedPair
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 from difffilter.sensors.information import Information
 
 __all__ = ["InnovationScaling"]
@@ -89,7 +90,7 @@ class InnovationScaling:
         }
 
     def before_predict(
-        self, memory: Memory, process: Tensor, inputs: Memory, constants: Values
+        self, memory: Memory, process: Tensor, inputs: Memory, constants: Constants
     ) -> Tensor:
         """Deviations of the process noise (..., n, q) times sqrt(a)."""
         return process * memory["adaptive.a"].sqrt()[..., None, None]
@@ -100,7 +101,7 @@ class InnovationScaling:
         linearised: Linearised,
         present: Tensor,
         inputs: Memory,
-        constants: Values,
+        constants: Constants,
     ) -> tuple[Linearised, Memory]:
         """R times b, in the independent variances and in the common columns.
 
@@ -129,7 +130,7 @@ class InnovationScaling:
         conditioned: Conditioned,
         weight: Tensor,
         present: Tensor,
-        constants: Values,
+        constants: Constants,
     ) -> Memory:
         """Ring and scales after the step."""
         n = linearised.mean.shape[-1]

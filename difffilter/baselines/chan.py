@@ -12,6 +12,7 @@ from difffilter.core.linalg import positive_sqrt
 from difffilter.errors import InputError
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import TDOA
 from difffilter.sensors.information import Information, covariance_factor
 from difffilter.sensors.sensor import Sensor
@@ -116,7 +117,9 @@ class ChanLeastSquares(Snapshot):
     def __post_init__(self) -> None:
         the_tdoa(self.sensors, self.axes)
 
-    def fix(self, log: Log, constants: Values, values: Values | None, start: Start | None) -> Fix:
+    def fix(
+        self, log: Log, constants: Constants, values: Values | None, start: Start | None
+    ) -> Fix:
         sensor = the_tdoa(self.sensors, self.axes)
         origin = torch.zeros(self.axes, dtype=log.z.dtype)  # its noise depends on no state
         noise = sensor.noise(origin, log.inputs, constants)
@@ -143,7 +146,7 @@ def the_tdoa(sensors: tuple[Sensor, ...], axes: int) -> TDOA:
     return sensor
 
 
-def range_differences(sensor: TDOA, log: Log, constants: Values) -> tuple[Tensor, Tensor]:
+def range_differences(sensor: TDOA, log: Log, constants: Constants) -> tuple[Tensor, Tensor]:
     """Range differences (T, ..., m) without bias, and stations (..., m + 1, axes)."""
     key = f"{sensor.name}.stations"
     stations = log.inputs[key] if key in log.inputs else constants[key]

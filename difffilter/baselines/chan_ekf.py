@@ -17,6 +17,7 @@ from difffilter.logs.track import Track
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Number, Parameter, Values, check_values
+from difffilter.parameters.values import Constants
 from difffilter.running.batch import run, start_belief
 from difffilter.sensors.builtin import Position, PositionSensor
 from difffilter.sensors.information import Information
@@ -44,15 +45,18 @@ class WhitenedPosition(PositionSensor):
     def parameters(self) -> tuple[Parameter, ...]:
         return ()
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         like = next(iter(values.values()))
-        return {"chan.unit": like.new_ones(self.axes), "chan.bias": like.new_zeros(self.axes)}
+        unit, zero = like.new_ones(self.axes), like.new_zeros(self.axes)
+        return Constants({"chan.unit": unit, "chan.bias": zero})
 
-    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Constants) -> Noise:
         unit = constants["chan.unit"]
         return Noise(unit, unit.new_zeros(self.axes, 0), unit)
 
-    def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
+    def measure(
+        self, position: Tensor, inputs: Inputs, constants: Constants
+    ) -> tuple[Tensor, Tensor]:
         whitening = inputs[WHITENING]
         return (whitening @ position.unsqueeze(-1)).squeeze(-1), whitening
 
@@ -139,7 +143,7 @@ class ChanEKF(Snapshot):
         track = run(self.position_filter, white, own, start, progress=progress)
         return Track(self.states, self.channels, log.time, track.mean, track.deviations)
 
-    def smooth(self, log: Log, constants: Values, start: Start, progress: bool) -> Track:
+    def smooth(self, log: Log, constants: Constants, start: Start, progress: bool) -> Track:
         """Range differences and their rates (T, ..., 2 m), by a filter of each channel."""
         sensor = the_tdoa(self.sensors, self.axes)
         origin = torch.zeros(self.axes, dtype=log.z.dtype)  # its noise depends on no state
@@ -174,7 +178,7 @@ class ChanEKF(Snapshot):
             progress=progress,
         )
 
-    def positions(self, log: Log, constants: Values, smoothed: Track) -> Fix:
+    def positions(self, log: Log, constants: Constants, smoothed: Track) -> Fix:
         """Chan's position of each row from the smoothed range differences."""
         sensor, m = the_tdoa(self.sensors, self.axes), len(self.channels)
         _, stations = range_differences(sensor, log, constants)

@@ -20,6 +20,7 @@ from difffilter.parameters.parameters import (
     declare,
     published_values,
 )
+from difffilter.parameters.values import Constants
 from difffilter.sensors.sensor import Sensor
 from difffilter.start.fit import Fix, gauss_newton
 from difffilter.start.measurements import from_measurements
@@ -75,14 +76,14 @@ class Snapshot:
         """The declared values."""
         return published_values(self.declarations, dtype)
 
-    def prepare(self, values: Values | None = None) -> Values:
+    def prepare(self, values: Values | None = None) -> Constants:
         """Constants from physical values, the declared ones where missing."""
         given = check_values(self.declarations, values)
         dtype = next(iter(given.values())).dtype if given else torch.float64
         complete = self.published(dtype) | given
-        constants = dict(complete)
+        constants = Constants(complete)
         for part in self.parts:
-            constants.update(part.prepare(complete))
+            constants = constants | part.prepare(complete)
         return constants
 
     def estimate(
@@ -110,7 +111,9 @@ class Snapshot:
         fix = self.fix(log, constants, values, start)
         return Track(self.states, self.channels, log.time, fix.position, fix.deviations)
 
-    def fix(self, log: Log, constants: Values, values: Values | None, start: Start | None) -> Fix:
+    def fix(
+        self, log: Log, constants: Constants, values: Values | None, start: Start | None
+    ) -> Fix:
         """Position of every row."""
         raise NotImplementedError
 
@@ -145,7 +148,9 @@ class TaylorLeastSquares(Snapshot):
     def parts(self) -> tuple[Sensor | Weight, ...]:
         return (*self.sensors, self.weight)
 
-    def fix(self, log: Log, constants: Values, values: Values | None, start: Start | None) -> Fix:
+    def fix(
+        self, log: Log, constants: Constants, values: Values | None, start: Start | None
+    ) -> Fix:
         start = start or log.start or from_measurements(self, log, values)
 
         def weigh(s: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from difffilter.engine.trace import Layout, Objective, Traced, trace
 from difffilter.errors import EngineError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["Job", "Tangents", "forward", "rows_of", "run_text", "sums", "traced_step"]
 
@@ -40,7 +40,7 @@ class Job(NamedTuple):
     """
 
     filter: Recipe
-    constants: Values
+    constants: Constants
     log: Rows
     start: Belief
     intervals: Tensor
@@ -146,7 +146,7 @@ def traced_step(
     }
     shapes = tuple(
         (name, tuple(x.shape))
-        for part in (job.constants, one.memory, row)
+        for part in (dict(job.constants), one.memory, row)
         for name, x in part.items()
     )
     key = (id(job.filter), shapes, objective)

@@ -15,7 +15,7 @@ from difffilter.engine.fused import Job, rows_of, run_text, traced_step
 from difffilter.errors import EngineError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["Stream"]
 
@@ -33,7 +33,7 @@ class Stream:
     """
 
     def __init__(
-        self, filter: Recipe, constants: Values, belief: Belief, inputs: Mapping[str, Tensor]
+        self, filter: Recipe, constants: Constants, belief: Belief, inputs: Mapping[str, Tensor]
     ) -> None:
         if belief.mean.dim() != 1 or belief.mean.dtype != torch.float64:
             shape, dtype = list(belief.mean.shape), belief.mean.dtype

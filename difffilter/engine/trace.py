@@ -17,7 +17,7 @@ from difffilter.errors import EngineError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.scoring.losses import LOSSES, LossContext
 
 __all__ = ["Layout", "Objective", "Traced", "trace"]
@@ -43,7 +43,7 @@ class Layout:
         """How many numbers a shape holds."""
         return int(np.prod(shape))
 
-    def pack(self, values: Mapping[str, Tensor], lead: tuple[int, ...]) -> Tensor:
+    def pack(self, values: Mapping[str, Tensor] | Constants, lead: tuple[int, ...]) -> Tensor:
         """(*lead, size) of tensors whose leading dimensions broadcast to ``lead``."""
         parts = []
         for name, shape in self.shapes.items():
@@ -114,7 +114,7 @@ class Objective:
 
 def trace(
     filter: Recipe,
-    constants: Values,
+    constants: Constants,
     belief: Belief,
     inputs: Mapping[str, Tensor],
     objective: Objective | None = None,
@@ -139,7 +139,8 @@ def trace(
     def flat(cs: list[Tensor], state: list[Tensor], row: list[Tensor]) -> list[Tensor]:
         before = Belief(state[0], state[1], dict(zip(memory, state[2:], strict=True)))
         measurement = Measurement(row[0], row[1], dict(zip(known, row[2:], strict=True)))
-        after, record = filter.step(dict(zip(names, cs, strict=True)), before, measurement)
+        named = Constants(dict(zip(names, cs, strict=True)))
+        after, record = filter.step(named, before, measurement)
         sums, residuals = _objective(filter, objective, measurement, after, record)
         return [
             after.mean,

@@ -19,7 +19,7 @@ from difffilter.export.source import read_places, source
 from difffilter.export.templates import GOLDEN, HEADER, SOURCE, TEST
 from difffilter.files import write_together
 from difffilter.filters.filter import Filter
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.sensors.stations import StationSensor
 
@@ -112,7 +112,7 @@ def _files(
 
 
 def _inputs(
-    checkpoint: Checkpoint, filter: Filter, constants: Values, begin: Belief
+    checkpoint: Checkpoint, filter: Filter, constants: Constants, begin: Belief
 ) -> tuple[str, ...]:
     """Known inputs that a step reads: positions of platforms, columns that the scenario names."""
     platforms = [

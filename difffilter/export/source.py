@@ -22,7 +22,7 @@ from difffilter.export.program import (
 )
 from difffilter.export.words import array, frozen_names
 from difffilter.filters.filter import Filter
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["read_places", "source"]
 
@@ -37,7 +37,7 @@ def read_places(step: Traced, group: str) -> set[int]:
 
 
 def source(
-    filter: Filter, constants: Values, step: Traced, begin: Belief, name: str
+    filter: Filter, constants: Constants, step: Traced, begin: Belief, name: str
 ) -> dict[str, str]:
     """What fills the source."""
     step = _folded(step, constants, frozen_names(filter, name))
@@ -70,7 +70,7 @@ def source(
     }
 
 
-def _folded(step: Traced, constants: Values, frozen: Mapping[str, Sequence[str]]) -> Traced:
+def _folded(step: Traced, constants: Constants, frozen: Mapping[str, Sequence[str]]) -> Traced:
     """The step without the terms that an entry 0 of what follows from the values takes away."""
     zeros, at = set(), 0
     for key, shape in step.constants.shapes.items():
@@ -98,7 +98,7 @@ def _folded(step: Traced, constants: Values, frozen: Mapping[str, Sequence[str]]
 
 
 def _constants(
-    filter: Filter, constants: Values, step: Traced, name: str
+    filter: Filter, constants: Constants, step: Traced, name: str
 ) -> tuple[list[str], list[str]]:
     """Definitions of what follows from the values, and the text of each constant."""
     used, frozen = read_places(step, "c"), frozen_names(filter, name)

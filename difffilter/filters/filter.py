@@ -18,6 +18,7 @@ from difffilter.filters.prediction import linearise, predict
 from difffilter.filters.recipe import RULES, Modelled, check_independent
 from difffilter.motions.retraction import moved
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.values import Constants
 from difffilter.robust.federation import Federation
 from difffilter.robust.gate import Gate
 from difffilter.robust.groups import Scope, channel_groups
@@ -210,7 +211,7 @@ class Filter(Modelled):
         return Belief(mean, deviations, memory)
 
     def step(
-        self, constants: Values, belief: Belief, measurement: Measurement
+        self, constants: Constants, belief: Belief, measurement: Measurement
     ) -> tuple[Belief, Record]:
         """Predict to the measurement's time, linearise, weigh, condition."""
         if self.fusion is not None:

@@ -18,7 +18,8 @@ from difffilter.core.conditioning import condition
 from difffilter.core.innovation import innovation_variance
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 from difffilter.sensors.information import common_noise
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ class Fusion:
         return memory
 
     def step(
-        self, filter: Filter, constants: Values, belief: Belief, measurement: Measurement
+        self, filter: Filter, constants: Constants, belief: Belief, measurement: Measurement
     ) -> tuple[Belief, Record]:
         """One row, as :func:`difffilter.step`."""
         from difffilter.filters.prediction import linearise, predict
@@ -195,7 +196,7 @@ class Fusion:
 
 
 def _predicted(
-    part: Filter, mean: Tensor, inputs: Mapping[str, Tensor], constants: Values
+    part: Filter, mean: Tensor, inputs: Mapping[str, Tensor], constants: Constants
 ) -> Tensor:
     return part.sensors[0].predict(mean, inputs, constants)
 
@@ -231,7 +232,7 @@ def _keep(memory: Mapping[str, Tensor], i: int, belief: Belief) -> dict[str, Ten
     }
 
 
-def _moved(d: Tensor, linear: Linearised, constants: Values) -> Tensor:
+def _moved(d: Tensor, linear: Linearised, constants: Constants) -> Tensor:
     """(...), whether a prediction was corrected; between 0 and 1 in training."""
     size = d.abs().amax(-1)
     temperature = constants.get("temperature")

@@ -10,7 +10,7 @@ from torch import Tensor
 from difffilter.core.beliefs import Belief, Record
 from difffilter.core.compression import compress
 from difffilter.core.linalg import positive_sqrt
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["joint_record", "kept", "merged", "normalised", "own_belief", "switching"]
 
@@ -41,7 +41,7 @@ def normalised(logarithm: Tensor, dim: int) -> tuple[Tensor, Tensor]:
     return largest + total.log(), parts / total
 
 
-def switching(constants: Values, dt: Tensor) -> Tensor:
+def switching(constants: Constants, dt: Tensor) -> Tensor:
     """log P_ij(dt), (..., K, K)."""
     share = constants["modes.share"]
     kept = (-constants["modes.rate"] * dt)[..., None, None].exp()

@@ -24,6 +24,7 @@ from difffilter.parameters.parameters import (
     check_values,
     declare,
 )
+from difffilter.parameters.values import Constants
 from difffilter.registry import NAME
 from difffilter.sensors.sensor import Sensor
 
@@ -186,21 +187,21 @@ class Mixture(Recipe):
         """Every parameter, by name."""
         return declare((self._own | dict(self.overrides)).values())
 
-    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Values:
+    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
         """Constants of a run: each mode's own, named ``MODE/CONSTANT``, and the chain's."""
         given = check_values(self.declarations, values)
         dtype = next(iter(given.values())).dtype if given else torch.float64
         complete = self.published(dtype) | given
         constants = dict(complete)
         first = {name: complete[here] for name, here in self.names[next(iter(self.modes))].items()}
-        constants.update(self.first.prepare(first, temperature))  # what a start reads
+        constants.update(self.first.prepare(first, temperature).items())  # what a start reads
         for mode, filter in self.modes.items():
             own = {name: complete[here] for name, here in self.names[mode].items()}
             for name, constant in filter.prepare(own, temperature).items():
                 constants[f"{mode}/{name}"] = constant
         if len(self.modes) == 1:
             constants["modes.share"] = torch.ones(1, dtype=dtype)
-        return constants
+        return Constants(constants)
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input of a mode is missing."""
@@ -217,7 +218,7 @@ class Mixture(Recipe):
         return Belief(mean, deviations, memory)
 
     def step(
-        self, constants: Values, belief: Belief, measurement: Measurement
+        self, constants: Constants, belief: Belief, measurement: Measurement
     ) -> tuple[Belief, Record]:
         """One row; see the class."""
         beliefs = [own_belief(mode, belief.memory) for mode in self.modes]
@@ -234,7 +235,7 @@ class Mixture(Recipe):
                 for name, constant in constants.items()
                 if name.startswith(f"{mode}/")
             }
-            posterior, record = filter.step(own, prior, measurement)
+            posterior, record = filter.step(Constants(own), prior, measurement)
             after.append(posterior)
             records.append(record)
         believed = torch.stack([record.weight for record in records]).amax(0)

@@ -17,7 +17,7 @@ from difffilter.core.linearised import Linearised
 from difffilter.filters.recipe import Modelled
 from difffilter.motions.protocol import Motion
 from difffilter.motions.retraction import cloud, lifted, moved
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.information import block_diagonal
 from difffilter.sensors.sensor import Sensor
 
@@ -36,7 +36,7 @@ class Predicted(NamedTuple):
 
 def predict(
     recipe: Modelled,
-    constants: Values,
+    constants: Constants,
     belief: Belief,
     measurement: Measurement,
     adaptation: Adaptation | None = None,
@@ -64,7 +64,7 @@ def predict(
 
 
 def _moved_points(
-    motion: Motion, belief: Belief, dt: Tensor, inputs: Mapping[str, Tensor], constants: Values
+    motion: Motion, belief: Belief, dt: Tensor, inputs: Mapping[str, Tensor], constants: Constants
 ) -> tuple[Tensor, Tensor]:
     """Mean and deviations (..., p, 2p) of the moved cubature points."""
     points = cloud(motion, belief.mean, belief.deviations)
@@ -78,7 +78,7 @@ def _moved_points(
 
 def linearise(
     recipe: Modelled,
-    constants: Values,
+    constants: Constants,
     predicted: Predicted,
     measurement: Measurement,
     foretold: bool = False,
@@ -100,7 +100,7 @@ def linearise(
 
 def _linearise(
     recipe: Modelled,
-    constants: Values,
+    constants: Constants,
     predicted: Predicted,
     measurement: Measurement,
     present: Tensor,
@@ -162,7 +162,7 @@ def _linearise(
 
 
 def _at_points(
-    sensor: Sensor, mean: Tensor, cloud: Tensor, inputs: Mapping[str, Tensor], constants: Values
+    sensor: Sensor, mean: Tensor, cloud: Tensor, inputs: Mapping[str, Tensor], constants: Constants
 ) -> tuple[Tensor, Tensor]:
     """Mean of the predicted values at cubature points, and their deviations (..., m, 2n).
 

@@ -24,6 +24,7 @@ from difffilter.parameters.parameters import (
     declare,
     published_values,
 )
+from difffilter.parameters.values import Constants
 from difffilter.sensors.information import common_noise
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.stations import StationSensor
@@ -72,7 +73,7 @@ class Recipe(Declared):
         """The same recipe with other declared values; InputError if one does not fit."""
 
     @abstractmethod
-    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Values:
+    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
         """Constants of a run from physical values (the declared ones where missing).
 
         Args:
@@ -94,7 +95,7 @@ class Recipe(Declared):
 
     @abstractmethod
     def step(
-        self, constants: Values, belief: Belief, measurement: Measurement
+        self, constants: Constants, belief: Belief, measurement: Measurement
     ) -> tuple[Belief, Record]:
         """One row: the belief after it, and the record of what was done.
 
@@ -179,7 +180,7 @@ class Modelled(Recipe):
         }
         return replace(self, overrides=dict(self.overrides) | changed)
 
-    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Values:
+    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
         """Constants of a run from physical values (the declared ones where missing).
 
         Args:
@@ -196,11 +197,11 @@ class Modelled(Recipe):
         constants = dict(complete)
         parts: tuple[Motion | Sensor, ...] = (self.motion, *self.sensors)
         for part in parts:
-            constants.update(part.prepare(complete))
+            constants.update(part.prepare(complete).items())
         constants.update(self._more_constants(complete))
         if temperature is not None:
             constants["temperature"] = torch.tensor(temperature, dtype=dtype)
-        return constants
+        return Constants(constants)
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input of a sensor is missing: a platform."""

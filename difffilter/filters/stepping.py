@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.filters.recipe import Recipe
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["step"]
 
 
 def step(
-    recipe: Recipe, constants: Values, belief: Belief, measurement: Measurement
+    recipe: Recipe, constants: Constants, belief: Belief, measurement: Measurement
 ) -> tuple[Belief, Record]:
     """One time step: predict to the measurement's time, linearise, weigh, condition.
 
@@ -27,4 +27,4 @@ def step(
         The belief after the measurement, and the record of what was done. Nothing is checked
         here: a belief may turn out not finite (:func:`difffilter.run` raises then).
     """
-    return recipe.step(constants, belief, measurement)
+    return recipe.step(Constants.of(constants), belief, measurement)

@@ -13,6 +13,7 @@ from difffilter.errors import InputError
 from difffilter.motions.protocol import AXES, Inputs, MotionBase
 from difffilter.parameters.constraints import Covariance, Positive
 from difffilter.parameters.parameters import Number, Parameter, Values, as_number
+from difffilter.parameters.values import Constants
 
 __all__ = ["NOISES", "ConstantVelocity"]
 
@@ -104,36 +105,33 @@ class ConstantVelocity(MotionBase):
             noise=True,
         )
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         if self.noise_kind == "state":
-            return {
-                "motion.factor": torch.diag_embed(
-                    values["motion.state_sigma"].expand(2 * self.axes)
-                )
-            }
+            sigma = values["motion.state_sigma"].expand(2 * self.axes)
+            return Constants({"motion.factor": torch.diag_embed(sigma)})
         value = values["motion.acceleration"]
         if value.dim() == 2:
             factor = semidefinite_cholesky(value)
         else:
             factor = torch.diag_embed(value.expand(self.axes))
-        return {"motion.factor": factor}
+        return Constants({"motion.factor": factor})
 
-    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         return self.move(mean.movedim(-1, 0), dt, inputs, constants).movedim(0, -1)
 
     def propagate(
-        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Values
+        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Constants
     ) -> Tensor:
         rows = deviations.movedim((-2, -1), (0, 1))
         return self.move(rows, dt, inputs, constants).movedim((0, 1), (-2, -1))
 
-    def move(self, rows: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def move(self, rows: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         """F times anything with the states first and the trajectories last."""
         position, velocity = rows[: self.axes], rows[self.axes :]
         return torch.cat([position + dt * velocity, velocity])
 
-    def noise(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
-        factor, step = constants["motion.factor"], dt[..., None, None]
+    def noise(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
+        factor, step = Constants.of(constants)["motion.factor"], dt[..., None, None]
         if self.noise_kind == "state":
             return factor.expand(*dt.shape, *factor.shape)
         if self.noise_kind == "discrete":

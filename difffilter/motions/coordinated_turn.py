@@ -12,6 +12,7 @@ from difffilter.motions.constant_velocity import ConstantVelocity
 from difffilter.motions.protocol import Inputs
 from difffilter.parameters.constraints import Real
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["CoordinatedTurn"]
 
@@ -42,11 +43,11 @@ class CoordinatedTurn(ConstantVelocity):
         )
         return (*super().parameters, rate)
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         return super().prepare(values) | {"motion.turn_rate": values["motion.turn_rate"]}
 
-    def move(self, rows: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
-        rate = inputs.get("turn_rate", constants["motion.turn_rate"])
+    def move(self, rows: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
+        rate = inputs.get("turn_rate", Constants.of(constants)["motion.turn_rate"])
         rate = -rate if self.reverse else rate
         angle = rate * dt
         # sin(a)/a and (1 - cos a)/a, their values and gradients also at a = 0.

@@ -13,10 +13,11 @@ from difffilter.core.jacobian import jacobian_times
 from difffilter.errors import InputError
 from difffilter.motions.protocol import KINDS, Inputs, kinds_by_name
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["FunctionMotion"]
 
-NoiseFunction = Callable[[Tensor, Tensor, Inputs, Values], Tensor]
+NoiseFunction = Callable[[Tensor, Tensor, Inputs, Constants], Tensor]
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class FunctionMotion:
     """
 
     states: tuple[str, ...]
-    function: Callable[[Tensor, Tensor, Inputs, Values], Tensor]
+    function: Callable[[Tensor, Tensor, Inputs, Constants], Tensor]
     noise_function: Callable[..., Tensor]
     parameters: tuple[Parameter, ...] = field(default=())
     linear: bool = False
@@ -72,14 +73,14 @@ class FunctionMotion:
     def flat(self) -> bool:
         return self.retract_function is None
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
-        return {p.name: values[p.name] for p in self.parameters}
+    def prepare(self, values: Values) -> Constants:
+        return Constants({p.name: values[p.name] for p in self.parameters})
 
-    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         return self.function(mean, dt, inputs, constants)
 
     def propagate(
-        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Values
+        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Constants
     ) -> Tensor:
         def moved(state: Tensor) -> Tensor:
             return self.function(state, dt, inputs, constants)
@@ -92,7 +93,7 @@ class FunctionMotion:
             lambda shift: self.local(centre, moved(self.retract(mean, shift))), zero, deviations
         )
 
-    def noise(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def noise(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         noise: NoiseFunction = self._noise  # type: ignore[attr-defined]
         return noise(mean, dt, inputs, constants)
 

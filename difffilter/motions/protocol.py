@@ -8,6 +8,7 @@ from typing import Protocol
 from torch import Tensor
 
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["AXES", "KINDS", "Inputs", "Motion", "MotionBase", "kinds_by_name"]
 
@@ -49,18 +50,18 @@ class Motion(Protocol):
     def parameters(self) -> tuple[Parameter, ...]:
         """Declared parameters."""
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         """Constants of a run, from the physical values."""
 
-    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def transition(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         """f(m): (..., n) -> (..., n)."""
 
     def propagate(
-        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Values
+        self, mean: Tensor, deviations: Tensor, dt: Tensor, inputs: Inputs, constants: Constants
     ) -> Tensor:
         """F X with F the Jacobian of local(f(m), f(retract(m, s))) at s = 0: (..., p, k)."""
 
-    def noise(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def noise(self, mean: Tensor, dt: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         """G L_Q, deviations of the process noise at the mean before the step: (..., p, q)."""
 
     def retract(self, mean: Tensor, shift: Tensor) -> Tensor:

@@ -11,11 +11,9 @@ from torch import Tensor, nn
 
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Constraint, Real
+from difffilter.parameters.values import Constants, Values
 
-__all__ = ["Parameter", "ParameterSet", "Values", "declare", "published_values"]
-
-#: Physical values of a filter's parameters, by parameter name.
-Values = Mapping[str, Tensor]
+__all__ = ["Constants", "Parameter", "ParameterSet", "Values", "declare", "published_values"]
 
 Number = float | tuple[float, ...] | tuple[tuple[float, ...], ...]
 
@@ -182,6 +180,8 @@ class ParameterSet(nn.Module):
 
 def check_values(declarations: Mapping[str, Parameter], values: Values | None) -> dict[str, Tensor]:
     """``values`` after checking each against its declaration."""
+    if isinstance(values, Constants):
+        raise InputError("values: found the constants of a run, expected values by parameter name")
     checked = dict(values or {})
     for name, value in checked.items():
         if name not in declarations:

@@ -12,7 +12,7 @@ from difffilter.core.conditioning import condition
 from difffilter.core.equations import Conditioned
 from difffilter.core.linalg import product
 from difffilter.errors import InputError
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["Federation"]
 
@@ -75,7 +75,7 @@ class Federation:
         innovation: Tensor,
         weight: Tensor,
         noise: Tensor,
-        constants: Values,
+        constants: Constants,
     ) -> Conditioned:
         """What :func:`difffilter.condition` does, by local filters and fusion.
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.values import Constants
 from difffilter.robust.chi_square import equivalent_thresholds
 
 __all__ = ["ACTIONS", "Gate"]
@@ -62,7 +63,7 @@ class Gate:
         weight: Tensor,
         nis: Tensor,
         degrees: Tensor | None,
-        constants: Values,
+        constants: Constants,
         temperature: Tensor | None,
         share: Tensor | float = 1.0,
     ) -> tuple[Tensor, Tensor]:

@@ -10,7 +10,8 @@ from torch import Tensor
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Above, Positive
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 from difffilter.weights.weight import soft_relu
 
 __all__ = ["RECOVERIES", "STREAK", "Recovery"]
@@ -70,7 +71,7 @@ class Recovery:
         """Start of the memory: no rejected row. ``mean`` (..., n)."""
         return {STREAK: torch.zeros_like(mean[..., 0])}
 
-    def growth(self, streak: Tensor, constants: Values) -> Tensor:
+    def growth(self, streak: Tensor, constants: Constants) -> Tensor:
         """Factor (...) by which the NIS (widen) or the covariance (inflate) changes now."""
         beyond = streak - constants["recovery.rejections"] + 1.0
         temperature = constants.get("temperature")
@@ -85,7 +86,7 @@ class Recovery:
         return growth
 
     def applied(
-        self, streak: Tensor, linear: Linearised, constants: Values
+        self, streak: Tensor, linear: Linearised, constants: Constants
     ) -> tuple[Linearised, Tensor | None]:
         """The predicted covariance grown, or the factor by which gate and weights are widened."""
         growth = self.growth(streak, constants)

@@ -17,6 +17,7 @@ from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Interval
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.values import Constants
 from difffilter.robust.federation import Federation
 from difffilter.robust.gate import Gate
 from difffilter.robust.groups import DISTANCES, group_rms, normalised_square, spread
@@ -89,7 +90,7 @@ class Weighing:
 
     def condition(
         self,
-        constants: Values,
+        constants: Constants,
         linear: Linearised,
         present: Tensor,
         widening: Tensor | None = None,
@@ -103,7 +104,7 @@ class Weighing:
 
     def _weighed_once(
         self,
-        constants: Values,
+        constants: Constants,
         linear: Linearised,
         present: Tensor,
         widening: Tensor | None,
@@ -121,7 +122,7 @@ class Weighing:
 
     def _reweighed(
         self,
-        constants: Values,
+        constants: Constants,
         linear: Linearised,
         present: Tensor,
         widening: Tensor | None,
@@ -190,7 +191,7 @@ class Weighing:
 
     def _condition(
         self,
-        constants: Values,
+        constants: Constants,
         linear: Linearised,
         deviations: Tensor,
         observed: Tensor,
@@ -261,7 +262,7 @@ class Weighing:
         return _Test(nis, spread(self.groups, counts), share)
 
     def _gated(
-        self, constants: Values, weight: Tensor, test: _Test | None
+        self, constants: Constants, weight: Tensor, test: _Test | None
     ) -> tuple[Tensor, Tensor]:
         """Weight and gate of each channel."""
         if self.gate is None or test is None:

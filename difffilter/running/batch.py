@@ -14,11 +14,12 @@ from difffilter.filters.stepping import step
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["ENGINES", "check_finite", "eager", "prepared", "run", "start_belief"]
 
 
-def start_belief(filter: Recipe, constants: Values, start: Start) -> Belief:
+def start_belief(filter: Recipe, constants: Constants, start: Start) -> Belief:
     """Belief at the start; the filter's ``start.sigma`` where no covariance is given."""
     mean = start.mean
     if start.covariance is not None:
@@ -88,7 +89,7 @@ def prepared(
     values: Values | None = None,
     start: Start | Belief | None = None,
     temperature: float | None = None,
-) -> tuple[Values, Belief, Tensor]:
+) -> tuple[Constants, Belief, Tensor]:
     """Constants of a run, the belief of each trajectory at its start, dt before each row.
 
     Arguments and errors as those of :func:`run`.
@@ -122,7 +123,7 @@ def prepared(
 
 def eager(
     filter: Recipe,
-    constants: Values,
+    constants: Constants,
     log: Log,
     current: Belief,
     intervals: Tensor,

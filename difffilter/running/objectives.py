@@ -28,6 +28,7 @@ from torch import Tensor
 from difffilter.engine.choice import eager_seconds, with_engine
 from difffilter.errors import NonFiniteError
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.running.batch import prepared, run
 from difffilter.running.problem import Problem
 from difffilter.running.tangents import (
@@ -89,7 +90,9 @@ def _fused_sums(problem: Problem, values: Values) -> Sums:
     constants, current, intervals = prepared(
         problem.recipe, log, values, problem.start, problem.temperature
     )
-    job = Job(problem.recipe, detached(constants), rows, detached_belief(current), intervals)
+    job = Job(
+        problem.recipe, Constants(detached(constants)), rows, detached_belief(current), intervals
+    )
     tangents = None
     if leaves_of(values):
         moved = any(x.requires_grad for x in tensors(current))

@@ -19,6 +19,7 @@ from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.running.batch import check_finite, prepared, run
 
 __all__ = ["smooth"]
@@ -108,7 +109,9 @@ def check_smoothable(recipe: Recipe) -> Filter:
     return recipe
 
 
-def _steps(filter: Filter, constants: Values, log: Log, track: Track, intervals: Tensor) -> Steps:
+def _steps(
+    filter: Filter, constants: Constants, log: Log, track: Track, intervals: Tensor
+) -> Steps:
     """All rows' predictions and gains at once."""
     at = Belief(track.mean[:-1], track.deviations[:-1])
     inputs = {name: value[1:] for name, value in log.inputs.items()}

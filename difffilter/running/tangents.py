@@ -10,6 +10,7 @@ from torch.autograd import forward_ad
 
 from difffilter.core.beliefs import Belief
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.running.batch import prepared
 from difffilter.running.problem import Problem
 
@@ -68,7 +69,7 @@ def tensors(belief: Belief) -> list[Tensor]:
     return [belief.mean, belief.deviations, *belief.memory.values()]
 
 
-def detached(values: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def detached(values: Mapping[str, Tensor] | Constants) -> dict[str, Tensor]:
     """The same numbers without gradient."""
     return {name: value.detach() for name, value in values.items()}
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.sensor import Inputs, wrap
 from difffilter.sensors.stations import StationSensor
 
@@ -49,7 +49,9 @@ class Bearing(StationSensor):
     def default_channels(self) -> tuple[str, ...]:
         return (self.name,) if len(self.stations) == 1 else super().default_channels()
 
-    def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
+    def measure(
+        self, position: Tensor, inputs: Inputs, constants: Constants
+    ) -> tuple[Tensor, Tensor]:
         apart, _ = self.apart(position, inputs, constants)
         x, y = apart[:, 0], apart[:, 1]
         square = x.square() + y.square()

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.sensor import Inputs, Noise, Sensor
 
 __all__ = [
@@ -20,7 +20,7 @@ __all__ = [
 
 
 def stacked_noise(
-    sensors: Sequence[Sensor], mean: Tensor, inputs: Inputs, constants: Values
+    sensors: Sequence[Sensor], mean: Tensor, inputs: Inputs, constants: Constants
 ) -> Noise:
     """Noise of all sensors' channels at a state (..., n): (..., m), (..., m, u) and (..., m)."""
     parts = [sensor.noise(mean, inputs, constants) for sensor in sensors]

@@ -15,6 +15,7 @@ from torch import Tensor
 from difffilter.core.linalg import components, product
 from difffilter.errors import InputError
 from difffilter.parameters.parameters import Number, Parameter, Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.sensor import Inputs, Noise, NoiseAndBias, difference
 
 __all__ = ["Position", "PositionSensor"]
@@ -69,25 +70,27 @@ class PositionSensor:
     def parameters(self) -> tuple[Parameter, ...]:
         return self.base.parameters
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         return self.base.prepare(values)
 
-    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Constants) -> Noise:
         return self.base.noise(constants)
 
-    def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
+    def measure(
+        self, position: Tensor, inputs: Inputs, constants: Constants
+    ) -> tuple[Tensor, Tensor]:
         """Error-free h (..., m) and its gradient towards the position (..., m, axes)."""
         raise NotImplementedError
 
-    def predict(self, state: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def predict(self, state: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         h, _ = self.measure(components(state, self.axes), inputs, constants)
-        return h + constants[f"{self.name}.bias"]
+        return h + Constants.of(constants)[f"{self.name}.bias"]
 
     def observe(
-        self, state: Tensor, deviations: Tensor, inputs: Inputs, constants: Values
+        self, state: Tensor, deviations: Tensor, inputs: Inputs, constants: Constants
     ) -> tuple[Tensor, Tensor]:
         h, gradient = self.measure(components(state, self.axes), inputs, constants)
-        predicted = h + constants[f"{self.name}.bias"]
+        predicted = h + Constants.of(constants)[f"{self.name}.bias"]
         return predicted, product(gradient, deviations)
 
     def residual(self, z: Tensor, predicted: Tensor) -> Tensor:
@@ -100,6 +103,8 @@ class Position(PositionSensor):
 
     name: str = "position"
 
-    def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
+    def measure(
+        self, position: Tensor, inputs: Inputs, constants: Constants
+    ) -> tuple[Tensor, Tensor]:
         unit = torch.eye(self.axes, dtype=position.dtype, device=position.device)
         return position, unit.expand(*position.shape[:-1], self.axes, self.axes)

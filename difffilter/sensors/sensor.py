@@ -14,6 +14,7 @@ from difffilter.core.linalg import semidefinite_cholesky
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Covariance, Positive, Real
 from difffilter.parameters.parameters import Number, Parameter, Values, as_number
+from difffilter.parameters.values import Constants
 
 __all__ = ["Difference", "FunctionSensor", "Noise", "Sensor", "difference", "wrap"]
 
@@ -50,21 +51,21 @@ class Sensor(Protocol):
     def parameters(self) -> tuple[Parameter, ...]:
         """Declared parameters."""
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         """Constants of a run, from the physical values."""
 
-    def predict(self, state: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def predict(self, state: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
         """h(x): (..., n) -> (..., m)."""
 
     def observe(
-        self, state: Tensor, deviations: Tensor, inputs: Inputs, constants: Values
+        self, state: Tensor, deviations: Tensor, inputs: Inputs, constants: Constants
     ) -> tuple[Tensor, Tensor]:
         """h(x) and H X with H the Jacobian of h at x: (..., m) and (..., m, k)."""
 
     def residual(self, z: Tensor, predicted: Tensor) -> Tensor:
         """Measurement minus prediction, elementwise (angles wrap here)."""
 
-    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Constants) -> Noise:
         """Measurement noise, nominal, of the state (..., n) and the row's known inputs.
 
         Its parts broadcast with the measurement: (m,) where the noise is always the same,
@@ -129,7 +130,7 @@ class NoiseAndBias:
             ),
         )
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         """Bias (m,), independent variances (m,), common columns (m, u), diagonal of R."""
         m, name, sigma = len(self.channels), self.name, values[f"{self.name}.sigma"]
         if sigma.dim() == 2:
@@ -138,12 +139,14 @@ class NoiseAndBias:
         else:
             independent = total = sigma.square().expand(m)
             common = independent.new_zeros(m, 0)
-        return {
-            f"{name}.bias": values[f"{name}.bias"].expand(m),
-            f"{name}.independent": independent,
-            f"{name}.common": common,
-            f"{name}.total": total,
-        }
+        return Constants(
+            {
+                f"{name}.bias": values[f"{name}.bias"].expand(m),
+                f"{name}.independent": independent,
+                f"{name}.common": common,
+                f"{name}.total": total,
+            }
+        )
 
     @property
     def common_columns(self) -> int:
@@ -151,9 +154,9 @@ class NoiseAndBias:
         full = torch.tensor(as_number(self.sigma)).dim() == 2
         return len(self.channels) if full else 0
 
-    def noise(self, constants: Values) -> Noise:
+    def noise(self, constants: Constants) -> Noise:
         """Read back what :meth:`prepare` made."""
-        keys = ("independent", "common", "total")
+        keys, constants = ("independent", "common", "total"), Constants.of(constants)
         return Noise(*(constants[f"{self.name}.{key}"] for key in keys))
 
 
@@ -173,14 +176,14 @@ class FunctionSensor:
     """
 
     channels: tuple[str, ...]
-    function: Callable[[Tensor, Inputs, Values], Tensor]
+    function: Callable[[Tensor, Inputs, Constants], Tensor]
     sigma: Number = 1.0
     bias: Number = 0.0
     unit: str = "m"
     residual_function: Difference = difference
     extra: tuple[Parameter, ...] = ()
     name: str = "sensor"
-    noise_function: Callable[[Tensor, Inputs, Values], Tensor] | None = None
+    noise_function: Callable[[Tensor, Inputs, Constants], Tensor] | None = None
 
     @property
     def common_columns(self) -> int:
@@ -195,14 +198,15 @@ class FunctionSensor:
     def parameters(self) -> tuple[Parameter, ...]:
         return (*self._noise.parameters, *self.extra)
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         return self._noise.prepare(values) | {p.name: values[p.name] for p in self.extra}
 
-    def predict(self, state: Tensor, inputs: Inputs, constants: Values) -> Tensor:
+    def predict(self, state: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
+        constants = Constants.of(constants)
         return self.function(state, inputs, constants) + constants[f"{self.name}.bias"]
 
     def observe(
-        self, state: Tensor, deviations: Tensor, inputs: Inputs, constants: Values
+        self, state: Tensor, deviations: Tensor, inputs: Inputs, constants: Constants
     ) -> tuple[Tensor, Tensor]:
         def h(x: Tensor) -> Tensor:
             return self.predict(x, inputs, constants)
@@ -212,7 +216,7 @@ class FunctionSensor:
     def residual(self, z: Tensor, predicted: Tensor) -> Tensor:
         return self.residual_function(z, predicted)
 
-    def noise(self, mean: Tensor, inputs: Inputs, constants: Values) -> Noise:
+    def noise(self, mean: Tensor, inputs: Inputs, constants: Constants) -> Noise:
         noise = self._noise.noise(constants)
         if self.noise_function is None:
             return noise

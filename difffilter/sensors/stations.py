@@ -12,6 +12,7 @@ from difffilter.core.linalg import positive_sqrt
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Parameter, Values, as_number
+from difffilter.parameters.values import Constants
 from difffilter.sensors.position import PositionSensor
 from difffilter.sensors.sensor import Inputs
 
@@ -59,7 +60,7 @@ class StationSensor(PositionSensor):
     def default_channels(self) -> tuple[str, ...]:
         return tuple(f"{self.name}_{i + 1}" for i in range(len(self.stations)))
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         sigma = values[f"{self.name}.sigma"]
         stations = torch.tensor(self.stations, dtype=sigma.dtype, device=sigma.device)
         return super().prepare(values) | {f"{self.name}.stations": stations}
@@ -70,17 +71,19 @@ class StationSensor(PositionSensor):
             if name not in inputs:
                 raise InputError(f"log: found no input {name}, expected the platform's position")
 
-    def located(self, inputs: Inputs, constants: Values) -> Tensor:
+    def located(self, inputs: Inputs, constants: Constants) -> Tensor:
         """(..., stations, coordinates), where the stations are."""
         key = f"{self.name}.stations"
-        stations: Tensor = inputs[key] if key in inputs else constants[key]
+        stations = inputs[key] if key in inputs else Constants.of(constants)[key]
         if not self.platform:
             return stations
         self.check_inputs(inputs)
         platform = torch.stack([inputs[name] for name in self.platform], dim=-1)
         return stations + platform.unsqueeze(-2)
 
-    def apart(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
+    def apart(
+        self, position: Tensor, inputs: Inputs, constants: Constants
+    ) -> tuple[Tensor, Tensor]:
         """Target minus stations along the axes (stations, axes, ...), and the stations.
 
         Stations and coordinates come first and trajectories last in memory.
@@ -112,7 +115,9 @@ class Range(StationSensor):
     def expected_coordinates(self) -> str:
         return f"{self.axes}, or {self.axes + 1} with the height"
 
-    def measure(self, position: Tensor, inputs: Inputs, constants: Values) -> tuple[Tensor, Tensor]:
+    def measure(
+        self, position: Tensor, inputs: Inputs, constants: Constants
+    ) -> tuple[Tensor, Tensor]:
         apart, stations = self.apart(position, inputs, constants)
         square = apart.square().sum(1)
         if stations.shape[1] > self.axes:
@@ -158,16 +163,16 @@ class TDOA(Range):
         )  # fmt: skip
         return (*self.base.parameters, common)
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
-        constants = super().prepare(values)
-        if self.common_sigma is not None:
-            sigma = values[f"{self.name}.common_sigma"]
-            column = sigma.expand(len(self.channels), 1)
-            constants[f"{self.name}.common"] = torch.cat(
-                [constants[f"{self.name}.common"], column], dim=-1
-            )
-            constants[f"{self.name}.total"] = constants[f"{self.name}.total"] + sigma.square()
-        return constants
+    def prepare(self, values: Values) -> Constants:
+        constants, name = super().prepare(values), self.name
+        if self.common_sigma is None:
+            return constants
+        sigma = values[f"{name}.common_sigma"]
+        column = sigma.expand(len(self.channels), 1)
+        return constants | {
+            f"{name}.common": torch.cat([constants[f"{name}.common"], column], dim=-1),
+            f"{name}.total": constants[f"{name}.total"] + sigma.square(),
+        }
 
     def of(self, stations: Tensor) -> Tensor:
         return stations[1:] - stations[:1]

@@ -11,6 +11,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.bearing import Bearing
 from difffilter.sensors.sensor import Sensor
 from difffilter.start.parts import Recipe, part_of
@@ -50,7 +51,9 @@ def the_bearing(sensors: Sequence[Sensor]) -> Bearing:
     raise InputError(f"sensors: found {names}, expected one bearing sensor alone")
 
 
-def lines(sensor: Bearing, log: Log, constants: Values, velocity: Tensor, since: Tensor) -> Lines:
+def lines(
+    sensor: Bearing, log: Log, constants: Constants, velocity: Tensor, since: Tensor
+) -> Lines:
     """Lines of position of every bearing.
 
     Args:

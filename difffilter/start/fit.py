@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from difffilter.core.linalg import positive_sqrt
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.information import Information, covariance_factor, stacked_noise
 from difffilter.sensors.sensor import Sensor
 
@@ -54,7 +54,7 @@ class Fix(NamedTuple):
 
 def gauss_newton(
     sensors: Sequence[Sensor],
-    constants: Values,
+    constants: Constants,
     z: Tensor,
     inputs: Inputs,
     start: Tensor,
@@ -161,7 +161,7 @@ def identity(like: Tensor) -> Frame:
 
 def linearised(
     sensors: Sequence[Sensor],
-    constants: Values,
+    constants: Constants,
     z: Tensor,
     inputs: Inputs,
     unknown: Tensor,

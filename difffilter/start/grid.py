@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import TDOA, Bearing, Position, Range, StationSensor
 from difffilter.sensors.sensor import Sensor
 
@@ -31,7 +31,7 @@ FALLBACK_RADII = tuple(10.0 ** (0.25 * i) for i in range(21))
 
 def candidates(
     sensors: Sequence[Sensor],
-    constants: Values,
+    constants: Constants,
     z: Tensor,
     inputs: Mapping[str, Tensor],
     axes: int,
@@ -73,7 +73,7 @@ def candidates(
 
 
 def _stations(
-    sensor: StationSensor, constants: Values, inputs: Mapping[str, Tensor], z: Tensor
+    sensor: StationSensor, constants: Constants, inputs: Mapping[str, Tensor], z: Tensor
 ) -> Tensor:
     """(B, stations, coordinates) at the first epoch."""
     first = {name: value[0] for name, value in inputs.items()}

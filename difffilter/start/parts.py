@@ -10,6 +10,7 @@ from torch import Tensor
 
 from difffilter.errors import InputError
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import Position
 from difffilter.sensors.sensor import Sensor
 
@@ -34,7 +35,7 @@ class Recipe(Protocol):
     def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
         """Declared values."""
 
-    def prepare(self, values: Values | None = None) -> Values:
+    def prepare(self, values: Values | None = None) -> Constants:
         """Constants from values."""
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import Position
 from difffilter.sensors.information import Information, stacked_noise
 from difffilter.sensors.sensor import Sensor
@@ -79,7 +79,7 @@ class Problem:
     """
 
     sensors: Sequence[Sensor]
-    constants: Values
+    constants: Constants
     epochs: Epochs
     frame: Frame
     axes: int

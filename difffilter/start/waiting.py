@@ -9,7 +9,7 @@ from torch import Tensor
 
 from difffilter.errors import InputError
 from difffilter.logs.log import Log
-from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.start.fit import Frame
 from difffilter.start.parts import Part, needed_channels
 from difffilter.start.rows import Epochs, first_rows
@@ -40,7 +40,7 @@ class Fitter(NamedTuple):
     """Fits with the same settings."""
 
     part: Part
-    constants: Values
+    constants: Constants
     velocity: Tensor
     velocity_sigma: Tensor
     rows: int

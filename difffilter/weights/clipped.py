@@ -7,6 +7,7 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.weights.weight import (
     Weight,
     clipping_pair,
@@ -27,11 +28,11 @@ def _huber_with(s: Tensor, k: Tensor, temperature: Tensor | None) -> Tensor:
     return k / (k2 + soft_excess(square, k2, temperature)).sqrt()
 
 
-def _huber(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _huber(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     return _huber_with(s, c["huber.k"], temperature)
 
 
-def _igg3(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _igg3(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     """Huber's weight at k0 times the square of a ramp from 1 at k0 to 0 at k1."""
     k0, k1 = c["igg3.k"][..., 0], c["igg3.k"][..., 1]
     core = _huber_with(s, k0, temperature)
@@ -51,7 +52,7 @@ def _soft_step(x: Tensor, low: Tensor, high: Tensor, temperature: Tensor) -> Ten
     return rise / (high - low)
 
 
-def _tanh(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _tanh(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     """psi(s) / s with the redescending psi of paper 3, eq. (25)."""
     slope, b = c["tanh.c"], c["tanh.ab"][..., 1]
     if temperature is None:
@@ -90,12 +91,12 @@ def _tanh_slope(values: Values) -> dict[str, Tensor]:
     return {"tanh.c": newton(c, a, b)}
 
 
-def _danish(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _danish(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     """exp(1 - (s/k)^2) beyond k."""
     return (-soft_excess((s / c["danish.k"]).square(), 1.0, temperature)).exp()
 
 
-def _tukey(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _tukey(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     """Square of a ramp in (s/k)^2, from 1 at s = 0 to 0 at k."""
     left = 1.0 - (s / c["tukey.k"]).square()
     if temperature is None:

@@ -6,35 +6,36 @@ import torch
 from torch import Tensor
 
 from difffilter.parameters.constraints import Below, Positive
-from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.values import Constants
 from difffilter.weights.weight import Weight, clipping_point, soft_excess
 
 __all__ = ["barron", "cauchy", "imq", "plain", "student_t", "welsch"]
 
 
-def _plain(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _plain(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     return torch.ones_like(s)
 
 
-def _cauchy(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _cauchy(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     return 1.0 / (1.0 + (s / c["cauchy.k"]).square())
 
 
-def _welsch(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _welsch(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     return (-0.5 * (s / c["welsch.k"]).square()).exp()
 
 
-def _imq(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _imq(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     return 1.0 / (1.0 + (s / c["imq.k"]).square())
 
 
-def _student_t(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _student_t(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     """(nu + 1) / (nu + max(s^2, 1))."""
     top = c["student-t.nu"] + 1.0
     return top / (top + soft_excess(s.square(), 1.0, temperature))
 
 
-def _barron(s: Tensor, c: Values, temperature: Tensor | None) -> Tensor:
+def _barron(s: Tensor, c: Constants, temperature: Tensor | None) -> Tensor:
     """(x / b + 1)^(-b/2) with x = (s/k)^2, b = 2 - alpha; b = 0: 1; b = inf: exp(-x/2)."""
     x, b = (s / c["barron.k"]).square(), 2.0 - c["barron.alpha"]
     ordinary = (b > 0.0) & torch.isfinite(b)

@@ -11,10 +11,11 @@ from torch.nn.functional import softplus
 
 from difffilter.parameters.constraints import OrderedPair, Positive
 from difffilter.parameters.parameters import Parameter, Values
+from difffilter.parameters.values import Constants
 
 __all__ = ["Weight", "clipping_pair", "clipping_point", "soft_abs", "soft_excess", "soft_relu"]
 
-WeightFunction = Callable[[Tensor, Values, Tensor | None], Tensor]
+WeightFunction = Callable[[Tensor, Constants, Tensor | None], Tensor]
 
 
 @dataclass(frozen=True)
@@ -36,13 +37,15 @@ class Weight:
     parameters: tuple[Parameter, ...] = ()
     derive: Callable[[Values], dict[str, Tensor]] | None = None
 
-    def __call__(self, s: Tensor, constants: Values, temperature: Tensor | None = None) -> Tensor:
+    def __call__(
+        self, s: Tensor, constants: Constants, temperature: Tensor | None = None
+    ) -> Tensor:
         """w(s) in [0, 1]; ``constants`` from :meth:`prepare`."""
         return self.function(s, constants, temperature)
 
-    def prepare(self, values: Values) -> dict[str, Tensor]:
+    def prepare(self, values: Values) -> Constants:
         """Values and derived constants that the function reads."""
-        constants = {p.name: values[p.name] for p in self.parameters}
+        constants = Constants({p.name: values[p.name] for p in self.parameters})
         return constants | (self.derive(values) if self.derive else {})
 
 

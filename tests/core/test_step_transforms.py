@@ -22,6 +22,7 @@ from difffilter.core.beliefs import Belief, Measurement, belief
 from difffilter.filters.filter import Filter
 from difffilter.filters.stepping import step
 from difffilter.motions.blocks import ConstantVelocity
+from difffilter.parameters.values import Constants
 from difffilter.robust.gate import Gate
 from difffilter.robust.recovery import Recovery
 from difffilter.sensors.builtin import TDOA, Position
@@ -79,7 +80,7 @@ def setting(filter: Filter, rng: np.random.Generator) -> tuple[Belief, Tensor]:
 
 
 def outputs(
-    filter: Filter, constants: dict[str, Tensor], mean: Tensor, deviations: Tensor, z: Tensor
+    filter: Filter, constants: Constants, mean: Tensor, deviations: Tensor, z: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     start = filter.start(mean, deviations)
     after, record = step(filter, constants, start, Measurement(z, tensor(0.5)))
@@ -114,7 +115,7 @@ def test_the_step_is_traced_once_and_holds_for_other_numbers(
     rng: np.random.Generator, name: str
 ) -> None:
     filter = RECIPES[name]
-    constants = dict(filter.prepare())
+    constants = filter.prepare()
     state, z = setting(filter, rng)
 
     def posterior(mean: Tensor, deviations: Tensor, z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -131,7 +132,7 @@ def test_the_step_is_traced_once_and_holds_for_other_numbers(
 @pytest.mark.parametrize("name", list(RECIPES))
 def test_vmap_of_the_step_is_the_batched_step(rng: np.random.Generator, name: str) -> None:
     filter = RECIPES[name]
-    constants = dict(filter.prepare())
+    constants = filter.prepare()
     settings = [setting(filter, rng) for _ in range(3)]
     mean = torch.stack([state.mean for state, _ in settings])
     deviations = torch.stack([state.deviations for state, _ in settings])
