@@ -153,7 +153,7 @@ def test_forward_mode_through_the_step_equals_reverse_mode(
     value = filter.published()[key]
 
     def total(value: Tensor) -> Tensor:
-        constants = dict(filter.prepare({key: value}, temperature=0.5))
+        constants = filter.prepare({key: value}, temperature=0.5)
         mean, covariance, weight = outputs(filter, constants, *state[:2], z)
         return mean.sum() + covariance.square().sum() + weight.sum()
 
@@ -170,8 +170,8 @@ def test_float32_gives_the_float64_result_in_float32(rng: np.random.Generator, n
         user = FunctionSensor(tuple("abcdefg"), lambda x, i, v: 2 * x[..., [0, 1, 2, 3, 0, 1, 2]])
         filter = tdoa_filter(sensor=user, weight=huber)
     state, z = setting(filter, rng)
-    expected = outputs(filter, dict(filter.prepare()), *state[:2], z)
-    single = dict(filter.prepare(filter.published(torch.float32)))
+    expected = outputs(filter, filter.prepare(), *state[:2], z)
+    single = filter.prepare(filter.published(torch.float32))
     after, record = step(
         filter,
         single,
@@ -210,6 +210,6 @@ def test_a_belief_is_never_written_to(rng: np.random.Generator) -> None:
     for filter in RECIPES.values():
         state, z = setting(filter, rng)
         copies = [x.clone() for x in (state.mean, state.deviations, z)]
-        outputs(filter, dict(filter.prepare()), *state[:2], z)
+        outputs(filter, filter.prepare(), *state[:2], z)
         for x, copy in zip((state.mean, state.deviations, z), copies, strict=True):
             torch.testing.assert_close(x, copy, rtol=0, atol=0, equal_nan=True)

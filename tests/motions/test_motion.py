@@ -12,14 +12,15 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.motions.blocks import ConstantVelocity, CoordinatedTurn, FunctionMotion, Motion
-from difffilter.parameters.parameters import Parameter, Values, as_number, published_values
+from difffilter.parameters.parameters import Parameter, as_number, published_values
+from difffilter.parameters.values import Constants
 from difffilter.scenario.scenario import load_scenario
 
 ORACLES = {"discrete": kinematics.discrete_noise, "continuous": kinematics.continuous_noise}
 DTS = (0.0, 0.1, 1.0, 7.5)
 
 
-def constants_of(motion: ConstantVelocity | FunctionMotion) -> dict[str, Tensor]:
+def constants_of(motion: ConstantVelocity | FunctionMotion) -> Constants:
     return motion.prepare(published_values({p.name: p for p in motion.parameters}))
 
 
@@ -34,7 +35,7 @@ def acceleration(form: str, axes: int) -> tuple[object, np.ndarray]:
     return as_number(full.tolist()), full
 
 
-def noise_of(motion: Motion, dt: Tensor, constants: Values) -> Tensor:
+def noise_of(motion: Motion, dt: Tensor, constants: Constants) -> Tensor:
     """The noise of a motion that needs neither the state nor inputs."""
     return motion.noise(torch.zeros(len(motion.states)).double(), dt, {}, constants)
 

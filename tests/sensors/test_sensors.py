@@ -12,7 +12,8 @@ from oracles import airport
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.parameters.parameters import Values, as_number, published_values
+from difffilter.parameters.parameters import as_number, published_values
+from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import TDOA, Position, Range
 from difffilter.sensors.sensor import FunctionSensor, Noise, Sensor, wrap
 
@@ -27,11 +28,11 @@ SENSORS: dict[str, Sensor] = {
 }
 
 
-def constants_of(sensor: Sensor) -> dict[str, Tensor]:
+def constants_of(sensor: Sensor) -> Constants:
     return sensor.prepare(published_values({p.name: p for p in sensor.parameters}))
 
 
-def noise_of(sensor: Sensor, constants: Values) -> Noise:
+def noise_of(sensor: Sensor, constants: Constants) -> Noise:
     """The noise of a sensor that needs neither the state nor inputs."""
     return sensor.noise(torch.zeros(4).double(), {}, constants)
 
@@ -126,7 +127,7 @@ def test_at_a_station_the_backward_pass_stays_of_the_size_of_its_neighbours(
     dtype: torch.dtype,
 ) -> None:
     sensor = Range(stations=STATIONS)
-    constants = {name: value.to(dtype) for name, value in constants_of(sensor).items()}
+    constants = Constants({name: c.to(dtype) for name, c in constants_of(sensor).items()})
     mean = torch.tensor([0.0, 0.0, 1.0, 1.0], dtype=dtype, requires_grad=True)
     _, observed = sensor.observe(mean, torch.eye(4, dtype=dtype), {}, constants)
     (gradient,) = torch.autograd.grad(observed.sum(), mean)
