@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from difffilter.comparison.table import Comparison, Row, tabulate
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.family import Starter
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
@@ -45,7 +45,7 @@ class Contestant(NamedTuple):
 
 
 def compare(
-    scenario: Case | Filter,
+    scenario: Case | Recipe,
     values: Mapping[str, Checkpoint | None] | None = None,
     trajectories: int = 200,
     seed: int = 1,

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from difffilter.engine.choice import settled
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
@@ -59,7 +59,7 @@ class HeldOut:
     """
 
     scenario: Case
-    filter: Filter
+    filter: Recipe
     log: Log
     temperature: float | None = None
     engine: str = "auto"

@@ -16,7 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.estimation import estimate, lean, started
@@ -65,7 +65,7 @@ def fsp(
         InputError: no truth; a scene without a scored row.
     """
     chosen = scenario.system(system)
-    if isinstance(chosen, Filter):
+    if isinstance(chosen, Recipe):
         chosen = lean(chosen, log.only(chosen.channels))
     track = estimate(chosen, started(scenario, chosen, log, values), values)
     rows = scored_rows(log, track, scenario.score)
@@ -99,7 +99,7 @@ def fsp_surface(
         InputError: an unknown parameter, a value that it does not admit.
     """
     chosen = scenario.system(system)
-    if not isinstance(chosen, Filter):
+    if not isinstance(chosen, Recipe):
         raise InputError("fsp: found a baseline, expected a filter with parameters")
     base = {**chosen.published(log.z.dtype), **dict(values or {})}
     entries = {

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import torch
 from torch import Tensor
@@ -63,10 +63,24 @@ class Recipe(Declared):
     :func:`difffilter.run`, the tracker, tuning and the engine work on any recipe.
     """
 
+    if TYPE_CHECKING:  # fields of most recipes, properties of others
+
+        @property
+        def sensors(self) -> tuple[Sensor, ...]:
+            """The measurement models: what starts and names are made of."""
+
+        @property
+        def overrides(self) -> Mapping[str, Parameter]:
+            """Declarations that replace the components' own, by name."""
+
+        @property
+        def iterations(self) -> int:
+            """How often a step conditions beyond once."""
+
     @property
-    def iterations(self) -> int:
-        """How often a step conditions beyond once."""
-        return 0
+    def centralised(self) -> Recipe:
+        """The same without local filters: the same estimates while nothing is isolated."""
+        return self
 
     @abstractmethod
     def with_values(self, values: Values) -> Self:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from difffilter.core.beliefs import Belief
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.scoring.losses import LossContext
 
@@ -28,7 +28,7 @@ class Problem:
             tangents beside the state; ``auto`` as for :func:`difffilter.run`.
     """
 
-    recipe: Filter
+    recipe: Recipe
     log: Log
     losses: Mapping[str, float]
     start: Start | Belief | None = None

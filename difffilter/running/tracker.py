@@ -12,7 +12,7 @@ from torch import Tensor
 from difffilter.core.beliefs import Belief, Measurement, Record, belief
 from difffilter.engine.choice import pick, tell
 from difffilter.errors import EngineError, InputError, NonFiniteError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.filters.stepping import step
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
@@ -56,7 +56,7 @@ class Tracker:
 
     def __init__(
         self,
-        filter: Filter,
+        filter: Recipe,
         mean: Tensor | Sequence[float],
         covariance: Tensor | Sequence[Sequence[float]],
         values: Values | None = None,
@@ -267,7 +267,7 @@ class Tracker:
         return torch.as_tensor(value, dtype=self._dtype)
 
 
-def _needs_inputs(filter: Filter) -> bool:
+def _needs_inputs(filter: Recipe) -> bool:
     """Whether a step of the filter reads known inputs."""
     try:
         filter.check_inputs({})

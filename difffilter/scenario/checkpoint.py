@@ -14,7 +14,7 @@ from torch import Tensor
 
 from difffilter.errors import CheckpointError, InputError, shown
 from difffilter.files import json_text, write_atomically
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.parameters.parameters import Number
 from difffilter.provenance import git_commit, library_versions
 from difffilter.running.tracker import Tracker
@@ -74,15 +74,15 @@ class Checkpoint:
     result: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def filter(self) -> Filter:
+    def filter(self) -> Recipe:
         """The recipe, with the frozen values declared in place of the published ones."""
         return self.published_filter.with_values(self.values)
 
     @property
-    def published_filter(self) -> Filter:
+    def published_filter(self) -> Recipe:
         """The recipe with the published values."""
         system = self.scenario.system(self.system)
-        if not isinstance(system, Filter):
+        if not isinstance(system, Recipe):
             raise InputError(f"system {self.system}: is a baseline, expected a filter")
         return system
 
@@ -148,7 +148,7 @@ def save(checkpoint: Checkpoint, path: str | Path) -> None:
     write_atomically(path, json_text(checkpoint.as_dict()) + "\n")
 
 
-def load(path: str | Path, recipe: Filter | Model | None = None) -> Checkpoint:
+def load(path: str | Path, recipe: Recipe | Model | None = None) -> Checkpoint:
     """Read a checkpoint; everything in it is checked, and nothing is imported.
 
     Args:
@@ -184,7 +184,7 @@ def load(path: str | Path, recipe: Filter | Model | None = None) -> Checkpoint:
         system = scenario.system(data["system"])
     except InputError as error:
         raise CheckpointError(f"{path}: {error}") from None
-    if not isinstance(system, Filter):
+    if not isinstance(system, Recipe):
         fail("system", data["system"], "a filter")
     if data["scenario"] != scenario.name:
         fail("scenario", data["scenario"], repr(scenario.name))
@@ -206,7 +206,7 @@ def load(path: str | Path, recipe: Filter | Model | None = None) -> Checkpoint:
     return checkpoint
 
 
-def _case(path: Path, data: dict[str, Any], recipe: Filter | Model | None) -> Case:
+def _case(path: Path, data: dict[str, Any], recipe: Recipe | Model | None) -> Case:
     """The scenario of the stored document, or the model that it names."""
     document = data["document"]
     own = document.get("model")
@@ -222,7 +222,7 @@ def _case(path: Path, data: dict[str, Any], recipe: Filter | Model | None) -> Ca
         raise CheckpointError(str(error)) from None
 
 
-def _read_values(path: Path, entries: dict[str, Any], system: Filter) -> dict[str, Tensor]:
+def _read_values(path: Path, entries: dict[str, Any], system: Recipe) -> dict[str, Tensor]:
     declarations = system.declarations
     _same_keys(path, "parameters", entries, set(declarations))
     values = {}

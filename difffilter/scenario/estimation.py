@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import torch
 
-from difffilter.filters.filter import Filter
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
@@ -24,7 +23,7 @@ from difffilter.start.measurements import from_measurements
 __all__ = ["estimate", "lean", "started"]
 
 
-def lean(filter: Filter, log: Log) -> Filter:
+def lean(filter: Recipe, log: Log) -> Recipe:
     """The filter without local ones where that changes nothing: nothing can be isolated.
 
     Built-in sensors and measurements whose squares are finite; else the filter as it is.

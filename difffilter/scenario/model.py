@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.case import Case, SceneLike
@@ -62,7 +62,7 @@ class Model:
         ('pos_x', 'pos_y')
     """
 
-    recipe: Filter
+    recipe: Recipe
     name: str = "model"
     simulate: Simulator | None = None
     start: Start | Callable[[Log], Start] | None = None
@@ -110,7 +110,7 @@ class Model:
             "tuning": json.loads(json.dumps(asdict(self.tuning))),
         }
 
-    def system(self, name: str | None = None) -> Filter:
+    def system(self, name: str | None = None) -> Recipe:
         """The recipe; InputError for another name."""
         if name not in (None, self.name):
             raise InputError(f"system: found {name!r:.80}, expected {self.name}")
@@ -178,19 +178,19 @@ def _bounds(score: Score) -> list[float | None]:
     return [x if torch.isfinite(torch.tensor(x)) else None for x in both]
 
 
-def as_case(case: Case | Filter) -> Case:
+def as_case(case: Case | Recipe) -> Case:
     """A bare recipe as a model; scenarios and models as they are."""
-    return Model(case) if isinstance(case, Filter) else case
+    return Model(case) if isinstance(case, Recipe) else case
 
 
-def tuning_alone(filter: Filter, names: Sequence[str]) -> Filter:
+def tuning_alone(filter: Recipe, names: Sequence[str]) -> Recipe:
     """The filter with these parameters tuned, and no others."""
     declared = filter.declarations.items()
     changed = {name: replace(p, tuned=name in names) for name, p in declared}
     return replace(filter, overrides=changed)
 
 
-def signature(recipe: Filter) -> dict[str, Any]:
+def signature(recipe: Recipe) -> dict[str, Any]:
     """What values must fit: states, channels, and each declaration's shape, set and unit."""
     return {
         "states": list(recipe.states),
@@ -202,7 +202,7 @@ def signature(recipe: Filter) -> dict[str, Any]:
     }
 
 
-def digest(recipe: Filter) -> str:
+def digest(recipe: Recipe) -> str:
     """SHA-256 of the signature: tells recipes apart that values do not fit alike."""
     text = json.dumps(signature(recipe), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any
 
 from difffilter.errors import CheckpointError, InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.model import Model, digest, tuning_alone
 
 __all__ = ["load_models", "made", "model_of"]
@@ -62,15 +62,15 @@ def made(factory: str) -> Model:
     if not callable(function):
         raise InputError(f"{factory}: found no function {name} in {module}.py")
     found = function()
-    if isinstance(found, Filter):
+    if isinstance(found, Recipe):
         found = Model(found, name)
     if not isinstance(found, Model):
-        raise InputError(f"{factory}: gave {type(found).__name__}, expected a Filter or a Model")
+        raise InputError(f"{factory}: gave {type(found).__name__}, expected a Recipe or a Model")
     return Model(**{**vars(found), "factory": factory})
 
 
 def model_of(
-    path: Path, data: Mapping[str, Any], recipe: Filter | Model | None, tuned: list[str]
+    path: Path, data: Mapping[str, Any], recipe: Recipe | Model | None, tuned: list[str]
 ) -> Model:
     """The model that a checkpoint's document names, made of what the caller brings.
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run, start_belief
@@ -44,7 +44,7 @@ class Trajectories:
         assert chosen.start is not None
         return Batch(replace(chosen, start=None), chosen.start)
 
-    def refresh(self, filter: Filter, values: Values, step: int) -> bool:
+    def refresh(self, filter: Recipe, values: Values, step: int) -> bool:
         """Nothing to do: trajectories start where they start."""
         return False
 
@@ -108,7 +108,7 @@ class Windows:
         """Number of windows that hold something to learn from."""
         return len(self.useful)
 
-    def refresh(self, filter: Filter, values: Values, step: int) -> bool:
+    def refresh(self, filter: Recipe, values: Values, step: int) -> bool:
         """Renew the windows' warm starts with the current values, if it is time to."""
         if self.beliefs is not None and step % self.every:
             return False

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
@@ -41,7 +41,7 @@ class Check(NamedTuple):
         before = None if self.before is None else self.before.select(index)
         return self._replace(log=self.log.select(index), before=before)
 
-    def batch(self, filter: Filter, values: Values, engine: str) -> Batch:
+    def batch(self, filter: Recipe, values: Values, engine: str) -> Batch:
         """The log, started; the filter runs up to it with these values where it must."""
         start: Belief | None = None
         if self.before is not None:
@@ -51,7 +51,7 @@ class Check(NamedTuple):
         return Batch(self.log, given)
 
 
-def hold_back(log: Log, filter: Filter) -> tuple[Log, Check]:
+def hold_back(log: Log, filter: Recipe) -> tuple[Log, Check]:
     """A part of started logs to validate on; the rest trains.
 
     Of five logs or more, every fifth; of fewer, the last fifth of the rows of each, started from

@@ -11,7 +11,7 @@ from typing import Any
 
 from difffilter.comparison.comparison import Comparison, compare
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.scenario.case import Case
 from difffilter.scenario.checkpoint import Checkpoint, save
@@ -48,7 +48,7 @@ class TuneResult:
 
 
 def tune(
-    case: Case | Filter,
+    case: Case | Recipe,
     train: Logs | Simulator | None = None,
     *,
     validation: Logs | None = None,
@@ -178,10 +178,10 @@ def _sources(case: Case, train: Logs | Simulator | None) -> tuple[Case, Logs | N
     return replace(case, simulate=train), None
 
 
-def _tunable(case: Case) -> Filter:
+def _tunable(case: Case) -> Recipe:
     name = case.tuning.system
     system = case.system(name)
-    if not isinstance(system, Filter):
+    if not isinstance(system, Recipe):
         raise InputError(f"tune: system {name} is a baseline, expected a filter")
     if not any(p.tuned for p in system.declarations.values()):
         raise InputError(

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from difffilter.engine.choice import eager_seconds, settled
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import ParameterSet, Values
@@ -55,7 +55,7 @@ class Task:
     """
 
     case: Case
-    recipe: Filter
+    recipe: Recipe
     settings: TuneSettings
     seed: int = 0
     train: Log | None = None
@@ -64,7 +64,7 @@ class Task:
     ranks: Ranks = field(default_factory=Ranks)
 
     @cached_property
-    def filter(self) -> Filter:
+    def filter(self) -> Recipe:
         """The recipe without local filters, where nothing can be isolated."""
         if self.train is None:  # nothing is isolated in simulated trajectories
             return self.recipe.centralised

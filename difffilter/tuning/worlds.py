@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.family import Family, Member
 from difffilter.logs.log import Log, Start
 from difffilter.running.batch import run, start_belief
@@ -22,7 +22,7 @@ __all__ = ["drawn_worlds", "marked"]
 LEAST = 8
 
 
-def drawn_worlds(family: Family, filter: Filter, count: int, seed: int, purpose: str) -> Log:
+def drawn_worlds(family: Family, filter: Recipe, count: int, seed: int, purpose: str) -> Log:
     """Trajectories of every member beside each other, started and marked.
 
     Args:
@@ -38,7 +38,7 @@ def drawn_worlds(family: Family, filter: Filter, count: int, seed: int, purpose:
     return marked(joined, filter, family, own)
 
 
-def marked(log: Log, filter: Filter, family: Family, members: Tensor) -> Log:
+def marked(log: Log, filter: Recipe, family: Family, members: Tensor) -> Log:
     """A started log with what the loss ``worlds`` reads beside its rows.
 
     Args:
@@ -58,7 +58,7 @@ def marked(log: Log, filter: Filter, family: Family, members: Tensor) -> Log:
     return replace(log, inputs={**log.inputs, REFERENCE: squared, **inputs})
 
 
-def _one(member: Member, filter: Filter, count: int, seed: int, purpose: str) -> Log:
+def _one(member: Member, filter: Recipe, count: int, seed: int, purpose: str) -> Log:
     log = member.log(count, seed, purpose)
     if log.truth is None:
         raise InputError(f"world {member.name}: needs truth, found none")
@@ -73,7 +73,7 @@ def _one(member: Member, filter: Filter, count: int, seed: int, purpose: str) ->
     return replace(log, time=time, start=_whole(filter, log.start))
 
 
-def _whole(filter: Filter, start: Start) -> Start:
+def _whole(filter: Recipe, start: Start) -> Start:
     """A start with a covariance, so that starts of either kind stand beside each other."""
     if start.covariance is not None or "start.sigma" in filter.declarations:
         return start
