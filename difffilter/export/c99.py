@@ -18,7 +18,7 @@ from difffilter.export.program import identifier
 from difffilter.export.source import read_places, source
 from difffilter.export.templates import GOLDEN, HEADER, SOURCE, TEST
 from difffilter.files import write_together
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.parameters.values import Constants
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.sensors.stations import StationSensor
@@ -66,9 +66,9 @@ def export_c(
     return [folder / file for file in files]
 
 
-def _deployable(checkpoint: Checkpoint) -> Filter:
+def _deployable(checkpoint: Checkpoint) -> Recipe:
     filter = checkpoint.published_filter
-    if filter.clairvoyant or getattr(filter.adaptation, "ideal", False):
+    if filter.foretold:
         raise InputError(
             f"export: {checkpoint.system} is told of faults, expected a deployable one"
         )
@@ -76,7 +76,7 @@ def _deployable(checkpoint: Checkpoint) -> Filter:
 
 
 def _files(
-    checkpoint: Checkpoint, filter: Filter, name: str, single: bool, origin: Sequence[float]
+    checkpoint: Checkpoint, filter: Recipe, name: str, single: bool, origin: Sequence[float]
 ) -> dict[str, str]:
     """Text of each file."""
     constants = filter.prepare(checkpoint.values, checkpoint.temperature)
@@ -112,7 +112,7 @@ def _files(
 
 
 def _inputs(
-    checkpoint: Checkpoint, filter: Filter, constants: Constants, begin: Belief
+    checkpoint: Checkpoint, filter: Recipe, constants: Constants, begin: Belief
 ) -> tuple[str, ...]:
     """Known inputs that a step reads: positions of platforms, columns that the scenario names."""
     platforms = [

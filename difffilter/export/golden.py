@@ -10,7 +10,7 @@ from torch import Tensor
 
 from difffilter.core.linalg import semidefinite_cholesky
 from difffilter.export.rows import rows
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
@@ -57,7 +57,7 @@ class Golden(NamedTuple):
     tolerance: tuple[float, float]
 
 
-def golden(checkpoint: Checkpoint, filter: Filter, known: Sequence[str]) -> Golden:
+def golden(checkpoint: Checkpoint, filter: Recipe, known: Sequence[str]) -> Golden:
     """The filter's own run over :func:`difffilter.export.rows.rows`.
 
     Args:
@@ -75,7 +75,7 @@ def golden(checkpoint: Checkpoint, filter: Filter, known: Sequence[str]) -> Gold
     return best
 
 
-def _vectors(checkpoint: Checkpoint, filter: Filter, log: Log) -> Golden:
+def _vectors(checkpoint: Checkpoint, filter: Recipe, log: Log) -> Golden:
     values, start = checkpoint.values, log.start
     assert start is not None
     assert start.covariance is not None

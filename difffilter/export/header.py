@@ -9,7 +9,7 @@ from difffilter.engine.trace import Traced
 from difffilter.escape import c_comment
 from difffilter.export.program import identifiers
 from difffilter.export.words import about, frozen_values
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.checkpoint import Checkpoint
 
 __all__ = ["argument", "header"]
@@ -23,7 +23,7 @@ UNUSABLE = """\
 
 def header(
     checkpoint: Checkpoint,
-    filter: Filter,
+    filter: Recipe,
     step: Traced,
     known: Sequence[str],
     *,

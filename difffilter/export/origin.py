@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Modelled, Recipe
 from difffilter.parameters.parameters import Values
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.stations import StationSensor
@@ -20,7 +20,7 @@ __all__ = ["relative"]
 CLOSE = 1e-6
 
 
-def relative(filter: Filter, values: Values, origin: Sequence[float]) -> Filter:
+def relative(filter: Recipe, values: Values, origin: Sequence[float]) -> Recipe:
     """The same filter, its stations told relative to ``origin`` (m, one number per axis).
 
     Beliefs, measured positions and known positions of platforms are then relative to it too.
@@ -33,6 +33,8 @@ def relative(filter: Filter, values: Values, origin: Sequence[float]) -> Filter:
     if len(origin) != axes:
         raise InputError(f"origin: found {len(origin)} coordinates, expected {axes}, one per axis")
     sensors = tuple(_moved(sensor, origin) for sensor in filter.sensors)
+    if not isinstance(filter, Modelled):
+        raise InputError("origin: found several filters at once, expected one with it")
     local = replace(filter, sensors=sensors)
     _check(filter, local, values, origin)
     return local
@@ -48,7 +50,7 @@ def _moved(sensor: Sensor, origin: Sequence[float]) -> Sensor:
     return replace(sensor, stations=stations)
 
 
-def _check(filter: Filter, local: Filter, values: Values, origin: Sequence[float]) -> None:
+def _check(filter: Recipe, local: Recipe, values: Values, origin: Sequence[float]) -> None:
     """Raise InputError unless both say the same, but for the origin in positions."""
     n, axes = len(filter.states), len(origin)
     shift = torch.zeros(n, dtype=torch.float64)

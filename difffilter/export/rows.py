@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.checkpoint import Checkpoint
@@ -30,7 +30,7 @@ WILD, OFTEN, BURST = 25.0, 0.04, (36, 42)
 DT, SHARE, SIGMAS = 0.1, 0.05, 10.0
 
 
-def rows(checkpoint: Checkpoint, filter: Filter, known: Sequence[str], seed: int) -> Log:
+def rows(checkpoint: Checkpoint, filter: Recipe, known: Sequence[str], seed: int) -> Log:
     """One trajectory with missing channels, irregular times and wild values, and its start.
 
     Of the scenario's world, or a walk among the stations where it has none.
@@ -76,7 +76,7 @@ def _simulated(checkpoint: Checkpoint, known: Sequence[str], seed: int) -> Log:
     )  # fmt: skip
 
 
-def _walk(filter: Filter, values: Values, known: Sequence[str], seed: int) -> Log:
+def _walk(filter: Recipe, values: Values, known: Sequence[str], seed: int) -> Log:
     """A straight walk that begins among the stations."""
     generator = stream(seed, "golden")
     constants = filter.prepare(values)
@@ -99,7 +99,7 @@ def _walk(filter: Filter, values: Values, known: Sequence[str], seed: int) -> Lo
     return Log(filter.channels, time, torch.stack(found), inputs=inputs, start=start)
 
 
-def _stations(filter: Filter) -> list[Tensor]:
+def _stations(filter: Recipe) -> list[Tensor]:
     """Coordinates along the axes (stations, axes) of the fixed stations of each sensor."""
     return [
         torch.tensor(sensor.stations, dtype=torch.float64)[:, : sensor.axes]
@@ -108,7 +108,7 @@ def _stations(filter: Filter) -> list[Tensor]:
     ]
 
 
-def _centre(filter: Filter) -> Tensor:
+def _centre(filter: Recipe) -> Tensor:
     """The state (n,) amid the stations, at rest; zeros without stations."""
     centre = torch.zeros(len(filter.states), dtype=torch.float64)
     for stations in _stations(filter)[:1]:
@@ -116,7 +116,7 @@ def _centre(filter: Filter) -> Tensor:
     return centre
 
 
-def _sigma(filter: Filter, values: Values, known: Sequence[str]) -> Tensor:
+def _sigma(filter: Recipe, values: Values, known: Sequence[str]) -> Tensor:
     """Standard deviation (n,) of each state at the start: the filter's own, else a likely one."""
     constants = filter.prepare(values)
     n = len(filter.states)
@@ -132,7 +132,7 @@ def _sigma(filter: Filter, values: Values, known: Sequence[str]) -> Tensor:
     return sigma
 
 
-def _disturbed(log: Log, filter: Filter, values: Values, seed: int) -> Log:
+def _disturbed(log: Log, filter: Recipe, values: Values, seed: int) -> Log:
     """The log with wild values, so that gates, weights and recovery have work."""
     sigma = nominal_sigma(filter, log, values)
     wild = torch.rand(log.z.shape, generator=stream(seed, "wild")) < OFTEN

@@ -21,7 +21,7 @@ from difffilter.export.program import (
     statements,
 )
 from difffilter.export.words import array, frozen_names
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.parameters.values import Constants
 
 __all__ = ["read_places", "source"]
@@ -37,7 +37,7 @@ def read_places(step: Traced, group: str) -> set[int]:
 
 
 def source(
-    filter: Filter, constants: Constants, step: Traced, begin: Belief, name: str
+    filter: Recipe, constants: Constants, step: Traced, begin: Belief, name: str
 ) -> dict[str, str]:
     """What fills the source."""
     step = _folded(step, constants, frozen_names(filter, name))
@@ -98,7 +98,7 @@ def _folded(step: Traced, constants: Constants, frozen: Mapping[str, Sequence[st
 
 
 def _constants(
-    filter: Filter, constants: Constants, step: Traced, name: str
+    filter: Recipe, constants: Constants, step: Traced, name: str
 ) -> tuple[list[str], list[str]]:
     """Definitions of what follows from the values, and the text of each constant."""
     used, frozen = read_places(step, "c"), frozen_names(filter, name)
@@ -117,8 +117,8 @@ def _constants(
     return lines, reading
 
 
-def _start(filter: Filter, begin: Belief) -> list[str]:
-    """Statements that set the memory of a belief as :meth:`Filter.start` does."""
+def _start(filter: Recipe, begin: Belief) -> list[str]:
+    """Statements that set the memory of a belief as :meth:`Recipe.start` does."""
     if not begin.memory:
         return []
 

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from difffilter.escape import c_comment as comment
 from difffilter.export.program import identifiers
-from difffilter.filters.filter import Filter
+from difffilter.filters.mixture import Mixture
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.checkpoint import Checkpoint
 
 __all__ = ["about", "array", "frozen_names", "frozen_values"]
@@ -39,16 +40,16 @@ def about(checkpoint: Checkpoint) -> str:
     options += [
         word
         for word, present in (
-            ("prior rows weighed", filter.weigh_prior),
-            ("scaled by MAD", filter.mad),
-            ("federated", filter.federated),
+            ("prior rows weighed", getattr(filter, "weigh_prior", False)),
+            ("scaled by MAD", getattr(filter, "mad", False)),
+            ("federated", getattr(filter, "federated", False)),
             (f"soft, temperature {checkpoint.temperature}", checkpoint.temperature is not None),
         )
         if present
     ]
     channels = [f"{name} ({_unit(filter, name)})" for name in filter.channels]
     parts = [
-        f"Equations: {RULES[filter.linearise]}{'; ' if options else ''}{'; '.join(options)}.",
+        f"Equations: {_rule(filter)}{'; ' if options else ''}{'; '.join(options)}.",
         f"States: {', '.join(filter.states)} (positions in m, velocities in m/s). Times are in s, "
         "angles in rad.",
         f"Channels, in order: {', '.join(channels)}.",
@@ -56,14 +57,22 @@ def about(checkpoint: Checkpoint) -> str:
     return "\n".join(wrapped(comment(part), "     ", "   ") for part in parts)
 
 
-def _unit(filter: Filter, channel: str) -> str:
+def _rule(filter: Recipe) -> str:
+    """How models are linearised; of a mixture, how each mode's are."""
+    if isinstance(filter, Mixture):
+        each = "; ".join(f"{name}: {_rule(mode)}" for name, mode in filter.modes.items())
+        return f"interacting multiple models ({each})"
+    return RULES[str(getattr(filter, "linearise", "taylor"))]
+
+
+def _unit(filter: Recipe, channel: str) -> str:
     for sensor in filter.sensors:
         if channel in sensor.channels:
             return str(getattr(sensor, "unit", "its own unit"))
     raise AssertionError(channel)
 
 
-def frozen_names(filter: Filter, name: str) -> dict[str, list[str]]:
+def frozen_names(filter: Recipe, name: str) -> dict[str, list[str]]:
     """Constants of each parameter's entries, in row-major order, by parameter."""
     entries = {key: parameter.entries() for key, parameter in filter.declarations.items()}
     found = identifiers((entry for part in entries.values() for entry in part), OWN)

@@ -188,13 +188,17 @@ class Filter(Modelled):
     def _more_constants(self, values: Values) -> dict[str, Tensor]:
         return self.weighing.prepare(values)
 
+    @property
+    def foretold(self) -> tuple[str, ...]:
+        """Inputs that only a simulation knows."""
+        told = ("fault.mean", "fault.variance") if self.clairvoyant else ()
+        ideal = getattr(self.adaptation, "ideal", False)
+        return (*told, *(("ideal.variance", "ideal.error", "ideal.process") if ideal else ()))
+
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input is missing: a platform, or what is foretold."""
         super().check_inputs(inputs)
-        foretold = ["fault.mean", "fault.variance"] if self.clairvoyant else []
-        if getattr(self.adaptation, "ideal", False):
-            foretold += ["ideal.variance", "ideal.error", "ideal.process"]
-        for name in foretold:
+        for name in self.foretold:
             if name not in inputs:
                 raise InputError(
                     f"log: found no input {name}, expected what a clairvoyant or ideal filter "

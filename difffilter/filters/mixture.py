@@ -15,6 +15,7 @@ from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.filters.mixing import joint_record, kept, merged, normalised, own_belief, switching
 from difffilter.filters.recipe import Recipe, declared_start
+from difffilter.motions.protocol import Motion
 from difffilter.parameters.constraints import Positive, Simplex
 from difffilter.parameters.parameters import (
     Number,
@@ -113,6 +114,11 @@ class Mixture(Recipe):
     def first(self) -> Filter:
         """The first mode: its motion and sensors make starts and names."""
         return next(iter(self.modes.values()))
+
+    @property
+    def motion(self) -> Motion:
+        """That of the first mode, for walks and names."""
+        return self.first.motion
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

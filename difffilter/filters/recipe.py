@@ -66,6 +66,10 @@ class Recipe(Declared):
     if TYPE_CHECKING:  # fields of most recipes, properties of others
 
         @property
+        def motion(self) -> Motion:
+            """The motion model: what starts and golden walks are made of."""
+
+        @property
         def sensors(self) -> tuple[Sensor, ...]:
             """The measurement models: what starts and names are made of."""
 
@@ -76,6 +80,11 @@ class Recipe(Declared):
         @property
         def iterations(self) -> int:
             """How often a step conditions beyond once."""
+
+    @property
+    def foretold(self) -> tuple[str, ...]:
+        """Inputs that only a simulation knows; none of a filter that can be deployed."""
+        return ()
 
     @property
     def centralised(self) -> Recipe:

@@ -13,6 +13,7 @@ from difffilter.baselines.registry import BASELINES, Given
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.filters.mixture import Mixture
+from difffilter.filters.recipe import Recipe
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import Number
 from difffilter.robust.groups import channel_groups
@@ -25,7 +26,7 @@ from difffilter.weights.registry import WEIGHTS
 __all__ = ["System", "build_system"]
 
 #: What a scenario calls a system: a recursive filter, or a baseline estimator.
-System = Filter | Mixture | Snapshot
+System = Recipe | Snapshot
 
 
 def build_system(
@@ -82,7 +83,8 @@ def build_system(
         if name not in own:
             raise where(f"values: found {name}, expected one of {', '.join(own)}")
     declared = {name: p.declare(own[name]) for name, p in parameters.items() if name in own}
-    return replace(bare, overrides=declared)
+    whole: Any = bare  # a dataclass, whichever it is
+    return replace(whole, overrides=declared)  # type: ignore[no-any-return]
 
 
 def _own_values(

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.sensors.information import stacked_noise
@@ -14,7 +14,7 @@ from difffilter.sensors.information import stacked_noise
 __all__ = ["measurement_errors", "nominal_sigma", "true_states"]
 
 
-def true_states(filter: Filter, log: Log) -> Tensor:
+def true_states(filter: Recipe, log: Log) -> Tensor:
     """(T, ..., n), the true states of a filter; NaN where unknown.
 
     A velocity that the log does not have is the central difference of its position.
@@ -33,7 +33,7 @@ def true_states(filter: Filter, log: Log) -> Tensor:
     return torch.stack([truth[name] for name in filter.states], dim=-1)
 
 
-def measurement_errors(filter: Filter, log: Log, values: Values | None = None) -> Tensor:
+def measurement_errors(filter: Recipe, log: Log, values: Values | None = None) -> Tensor:
     """(T, ..., m), measured minus true; NaN where missing or where truth is unknown.
 
     Args:
@@ -52,7 +52,7 @@ def measurement_errors(filter: Filter, log: Log, values: Values | None = None) -
     return torch.cat(parts, dim=-1)
 
 
-def nominal_sigma(filter: Filter, log: Log, values: Values | None = None) -> Tensor:
+def nominal_sigma(filter: Recipe, log: Log, values: Values | None = None) -> Tensor:
     """(m,) or (T, ..., m), standard deviation of each channel's noise for the rows of a log.
 
     Noise that depends on the state is that of the true one; of a state of zeros where the log

@@ -11,6 +11,7 @@ import torch
 from difffilter.comparison.held_out import HeldOut, Outcome
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.case import Case
@@ -64,7 +65,7 @@ class Course:
 
 def contest(
     scenario: Case,
-    filter: Filter,
+    filter: Recipe,
     settings: TuneSettings,
     held: HeldOut,
     *,
@@ -104,7 +105,7 @@ def contest(
 
 
 def warm(
-    scenario: Case, filter: Filter, settings: TuneSettings, log: Log | None, engine: str
+    scenario: Case, filter: Recipe, settings: TuneSettings, log: Log | None, engine: str
 ) -> None:
     """Compile what the contest runs, before any clock starts."""
     small = replace(settings, trajectories=2, validation=2, batch=2, steps=1, starts=1)
@@ -115,7 +116,7 @@ def warm(
 
 def _course(
     scenario: Case,
-    filter: Filter,
+    filter: Recipe,
     settings: TuneSettings,
     held: HeldOut,
     seed: int,
@@ -163,7 +164,7 @@ class Contender:
 
 def contenders(
     scenario: Case,
-    filter: Filter,
+    filter: Recipe,
     settings: TuneSettings,
     held: HeldOut,
     tuned: Values,
@@ -188,14 +189,15 @@ def contenders(
     made: dict[str, Values] = {"published": published}
     if noise:
         train = log or simulate(scenario, settings.trajectories, seed, "train")
-        with suppress(InputError):  # a state that no truth tells has no sample
-            made[SAMPLE] = {**published, **sample_covariances(filter, train)}
-        likely = replace(settings, loss={"normal-likelihood": 1.0}, optimiser="lbfgs")
-        bare = tuning_alone(plain_filter(filter), noise)
-        found = _fit(scenario, bare, likely, seed, log, engine)
-        made["Q and R: maximum likelihood of a plain filter"] = {
-            **published, **{name: found[name] for name in noise}
-        }  # fmt: skip
+        if isinstance(filter, Filter):
+            with suppress(InputError):  # a state that no truth tells has no sample
+                made[SAMPLE] = {**published, **sample_covariances(filter, train)}
+            likely = replace(settings, loss={"normal-likelihood": 1.0}, optimiser="lbfgs")
+            bare = tuning_alone(plain_filter(filter), noise)
+            found = _fit(scenario, bare, likely, seed, log, engine)
+            made["Q and R: maximum likelihood of a plain filter"] = {
+                **published, **{name: found[name] for name in noise}
+            }  # fmt: skip
         alone = tuning_alone(filter, noise)
         name = "Q and R: gradient of this loss"
         made[name] = _fit(scenario, alone, settings, seed, log, engine)
@@ -209,7 +211,7 @@ def contenders(
 
 def _fit(
     scenario: Case,
-    filter: Filter,
+    filter: Recipe,
     settings: TuneSettings,
     seed: int,
     log: Log | None,

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import Parameter, as_number
@@ -21,7 +22,7 @@ __all__ = ["noise_names", "plain_filter", "sample_covariances"]
 LEAST = 1e-3
 
 
-def noise_names(filter: Filter) -> tuple[str, ...]:
+def noise_names(filter: Recipe) -> tuple[str, ...]:
     """The tuned parameters that scale Q or R."""
     return tuple(n for n, p in filter.declarations.items() if p.tuned and p.noise)
 

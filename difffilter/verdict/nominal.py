@@ -8,6 +8,7 @@ import torch
 
 from difffilter.comparison.held_out import HeldOut
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.scenario import Scenario
@@ -35,11 +36,13 @@ def toll(track: Track) -> Toll | None:
     return Toll(float(weight.mean()), float((weight < REJECTED).double().mean()))
 
 
-def nominal_toll(filter: Filter, values: Values, points: int = 20001) -> Toll | None:
+def nominal_toll(filter: Recipe, values: Values, points: int = 20001) -> Toll | None:
     """For standard normal residuals: what weights and gate alone do, each channel by itself.
 
     None where channels share a weight, or are weighed by something else than their residual.
     """
+    if not isinstance(filter, Filter):
+        return None
     if filter.grouped is not None or filter.fusion is not None or filter.mad:
         return None
     constants = filter.prepare(values)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from difffilter.comparison.held_out import HeldOut, Outcome
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.case import Case
@@ -48,7 +48,7 @@ class Stressed:
 
 def stress(
     scenario: Case,
-    filter: Filter,
+    filter: Recipe,
     log: Log,
     tuned: Values,
     *,
@@ -94,7 +94,7 @@ class Grid:
 
 def stress_grid(
     scenario: Case,
-    filter: Filter,
+    filter: Recipe,
     log: Log,
     tuned: Values,
     *,
@@ -128,7 +128,7 @@ def _stressed(name: str, level: float, published: Outcome, tuned: Outcome) -> St
     return Stressed(name, level, error[0], error[1], nees, tuned.ratio(published))
 
 
-def _noisier(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def _noisier(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     log = log.only(filter.channels)
     if level < 1.0:
         errors = measurement_errors(filter, log).nan_to_num()
@@ -140,7 +140,7 @@ def _noisier(filter: Filter, log: Log, level: float, seed: int) -> Log:
     return replace(log, z=log.z + (level**2 - 1.0) ** 0.5 * nominal_sigma(filter, log) * draw)
 
 
-def _wilder(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def _wilder(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     log = log.only(filter.channels)
     generator = stream(seed, "outliers")
     shape = log.z.shape
@@ -150,13 +150,13 @@ def _wilder(filter: Filter, log: Log, level: float, seed: int) -> Log:
     return replace(log, z=torch.where(hit, log.z + sign * size * nominal_sigma(filter, log), log.z))
 
 
-def _sparser(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def _sparser(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     log = log.only(filter.channels)
     gone = torch.rand(log.z.shape, generator=stream(seed, "dropouts")) < level
     return replace(log, z=torch.where(gone, torch.nan, log.z))
 
 
-def _moved(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def _moved(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """The started log, its start off by ``level`` sigmas in each state, either way."""
     start = log.start
     assert start is not None
@@ -169,7 +169,7 @@ def _moved(filter: Filter, log: Log, level: float, seed: int) -> Log:
     return replace(log, start=Start(mean, start.covariance, start.time))
 
 
-_CHANGE: Mapping[str, Callable[[Filter, Log, float, int], Log]] = {
+_CHANGE: Mapping[str, Callable[[Recipe, Log, float, int], Log]] = {
     "noise": _noisier,
     "outliers": _wilder,
     "dropouts": _sparser,

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from torch import Tensor
 
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.reports.figures.style import COLOURS, axes_grid
 from difffilter.scoring.truth import measurement_errors, nominal_sigma
@@ -19,7 +19,7 @@ __all__ = ["world_figure"]
 SHOWN = 12
 
 
-def world_figure(filter: Filter, log: Log, trajectory: int = 0) -> Figure:
+def world_figure(filter: Recipe, log: Log, trajectory: int = 0) -> Figure:
     """True paths among the stations, and one trajectory's measurement errors in sigmas.
 
     Args:
@@ -47,7 +47,7 @@ def world_figure(filter: Filter, log: Log, trajectory: int = 0) -> Figure:
     return figure
 
 
-def _paths(ax: Axes, filter: Filter, log: Log) -> None:
+def _paths(ax: Axes, filter: Recipe, log: Log) -> None:
     assert log.truth is not None
     names = [name for name in filter.states if not name.startswith("v")][:2]
     paths = [log.truth[..., log.truth_states.index(name)] for name in names]
@@ -68,7 +68,7 @@ def _paths(ax: Axes, filter: Filter, log: Log) -> None:
     ax.legend(fontsize=8, framealpha=0.6)
 
 
-def _places(filter: Filter, log: Log) -> dict[str, Tensor]:
+def _places(filter: Recipe, log: Log) -> dict[str, Tensor]:
     """Stations and the platform's path, (*, 2) each, where there are any."""
     found = {}
     for sensor in filter.sensors:
