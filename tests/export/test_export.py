@@ -203,7 +203,7 @@ def test_a_platform_is_a_struct_of_known_inputs(world: bool, tmp_path: Path) -> 
     document["world"]["platform"] = {"position": [0.0, 0.0], "velocity": [3.0, 1.0]}
     document["inputs"] = ["unread"]
     if not world:
-        document = {k: v for k, v in document.items() if k not in ("world", "faults")}
+        document = {k: v for k, v in document.items() if k not in ("world", "faults", "worlds")}
     loaded = read_scenario(document, Path("platform.toml"))
     filter = loaded.system("robust")
     assert isinstance(filter, Filter)
