@@ -254,6 +254,7 @@ def _mean_information(means: list[Tensor], factors: list[Tensor]) -> tuple[Tenso
             other_mean - mean,
             ones,
             zeros,
+            floor=mean.shape[-1] * torch.finfo(mean.dtype).eps,  # P may be singular
         )
         mean, factor = mean + done.shift, compress(done.deviations)
     return mean, factor * len(means) ** 0.5
