@@ -36,9 +36,9 @@ def jump_log(*, rows: int = ROWS, gap: slice = slice(0, 0)) -> Log:
     return Log(("p",), torch.arange(1.0, rows + 1).double(), z[:rows], start=start)
 
 
-def after_rejections(state: Belief, count: float) -> Belief:
-    """The belief with so many rejected rows behind it."""
-    streak = torch.full_like(state.mean[..., 0], count)
+def after_rejections(state: Belief, count: float, groups: int = 3) -> Belief:
+    """The belief with so many rejected rows of every group behind it."""
+    streak = state.mean.new_full((*state.mean.shape[:-1], groups), count)
     return Belief(state.mean, state.deviations, {STREAK: streak})
 
 

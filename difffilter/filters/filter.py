@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import torch
 from torch import Tensor
 
 from difffilter.adaptation.protocol import Adaptation
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.core.compression import compress
+from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.filters.prediction import linearise, predict
 from difffilter.filters.recipe import RULES, Modelled, check_independent
@@ -173,11 +173,15 @@ class Filter(Modelled):
         return channel_groups("sensor", self.channels, [len(s.channels) for s in self.sensors])
 
     @cached_property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Channels of each group that shares one weight, one gate and one count of recovery."""
+        per_sensor = [len(sensor.channels) for sensor in self.sensors]
+        return channel_groups(self.scope, self.channels, per_sensor)
+
+    @property
     def grouped(self) -> tuple[tuple[int, ...], ...] | None:
         """Channels of each group; None where every channel is by itself."""
-        per_sensor = [len(sensor.channels) for sensor in self.sensors]
-        groups = channel_groups(self.scope, self.channels, per_sensor)
-        return groups if any(len(group) > 1 for group in groups) else None
+        return self.groups if any(len(group) > 1 for group in self.groups) else None
 
     @property
     def _more_parameters(self) -> tuple[Parameter, ...]:
@@ -209,10 +213,23 @@ class Filter(Modelled):
         """Initial belief from a mean (..., n) and deviations (..., n, n), memory at its start."""
         memory = self.adaptation.memory(mean, len(self.channels)) if self.adaptation else {}
         if self.recovery is not None:
-            memory = memory | self.recovery.memory(mean)
+            memory = memory | self.recovery.memory(mean, len(self.groups))
         if self.fusion is not None:
             memory = memory | self.fusion.start(self, mean, deviations)
         return Belief(mean, deviations, memory)
+
+    def _recovered(
+        self, constants: Values, streak: Tensor, linear: Linearised, present: Tensor
+    ) -> tuple[Linearised, Tensor | None]:
+        """The step with a grown covariance, or what gate and weights are widened by."""
+        if self.recovery is None:
+            return linear, None
+        weighing = replace(self.weighing, weigh_prior=False, federation=None)
+
+        def weights(doubted: Linearised) -> Tensor:
+            return weighing.weights(constants, doubted, present)
+
+        return self.recovery.applied(streak, linear, present, self.groups, weights, constants)
 
     def step(
         self, constants: Constants, belief: Belief, measurement: Measurement
@@ -231,15 +248,15 @@ class Filter(Modelled):
                 memory, linear, present, measurement.inputs, constants
             )
         if self.recovery is not None:
-            streak = torch.where(present.any(-1), belief.memory[STREAK], 0.0)
-            linear, widening = self.recovery.applied(streak, linear, constants)
+            linear, widening = self._recovered(constants, belief.memory[STREAK], linear, present)
         conditioned, record = self.weighing.condition(constants, linear, present, widening)
         if self.adaptation is not None:
             memory = self.adaptation.after_condition(
                 memory, linear, conditioned, record.weight, present, constants
             )
         if self.recovery is not None:
-            streak = self.recovery.count(belief.memory[STREAK], record.weight, present)
+            before = belief.memory[STREAK]
+            streak = self.recovery.count(before, record.weight, present, self.groups)
             memory = {**memory, STREAK: streak}
         if left_out is not None:
             record = record._replace(isolated=left_out)

@@ -97,10 +97,16 @@ class Weighing:
     ) -> tuple[Conditioned, Record]:
         """The belief's shift and deviations, and the record.
 
-        ``widening`` (...) divides every NIS that gate and weight see (see ``recovery``).
+        ``widening`` (..., m) divides every NIS that gate and weight see (see ``recovery``).
         """
         how = self._reweighed if self.iterations else self._weighed_once
         return how(constants, linear, present, widening)
+
+    def weights(self, constants: Values, linear: Linearised, present: Tensor) -> Tensor:
+        """(..., m), the weights that :meth:`condition` ends with."""
+        if self.iterations:
+            return self._reweighed(constants, linear, present, None)[1].weight
+        return self._once(constants, linear, present, None)[1]
 
     def _weighed_once(
         self,
@@ -110,15 +116,21 @@ class Weighing:
         widening: Tensor | None,
     ) -> tuple[Conditioned, Record]:
         """Weights from the nominal innovation, one conditioning."""
+        s, weight, gate = self._once(constants, linear, present, widening)
+        conditioned = self._condition(constants, linear, linear.deviations, linear.observed, weight)
+        prior_weight = torch.ones_like(linear.deviations[..., : linear.size, 0])
+        return conditioned, _record(linear, s, weight, prior_weight, gate, present)
+
+    def _once(
+        self, constants: Values, linear: Linearised, present: Tensor, widening: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Residuals in sigmas, weights and gates from the nominal innovation, each (..., m)."""
         scales = self._scales(linear, widening)
         s = self._distance(linear, linear.innovation, present, scales)
         weight = self.weight(s, constants, constants.get("temperature"))
         test = self._test(linear, present, scales)
         weight, gate = self._gated(constants, weight, test)
-        weight = weight * present
-        conditioned = self._condition(constants, linear, linear.deviations, linear.observed, weight)
-        prior_weight = torch.ones_like(linear.deviations[..., : linear.size, 0])
-        return conditioned, _record(linear, s, weight, prior_weight, gate, present)
+        return s, weight * present, gate
 
     def _reweighed(
         self,
@@ -211,7 +223,7 @@ class Weighing:
         nominal = linear.innovation_variance
         variance = nominal if self.standardise == "innovation" else linear.total
         if widening is not None:
-            variance = variance * widening.unsqueeze(-1)
+            variance = variance * widening
         return _Scales(nominal, variance.rsqrt(), widening)
 
     def _distance(
@@ -245,7 +257,7 @@ class Weighing:
                 for group in groups
             ],
         )
-        return squares if widening is None else squares / widening.unsqueeze(-1)
+        return squares if widening is None else squares / widening
 
     def _test(self, linear: Linearised, present: Tensor, scales: _Scales) -> _Test | None:
         """From the nominal innovation; None without a gate."""
@@ -255,7 +267,7 @@ class Weighing:
         if self.groups is None:
             nis = linear.innovation.square() / scales.nominal
             if scales.widening is not None:
-                nis = nis / scales.widening.unsqueeze(-1)
+                nis = nis / scales.widening
             return _Test(nis, None, share)
         nis = self._squares(linear, linear.innovation, linear.observed, present, scales.widening)
         counts = [present[..., [*group]].sum(-1) for group in self.groups]
@@ -275,7 +287,7 @@ class _Scales(NamedTuple):
     """What residuals are measured with.
 
     nominal: (..., m), innovation variance S_ii; per_sigma: (..., m), divides residuals;
-    widening: (...) or None.
+    widening: (..., m) or None.
     """
 
     nominal: Tensor

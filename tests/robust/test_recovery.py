@@ -71,28 +71,29 @@ def test_inflating_where_no_weight_depends_on_the_prediction_is_an_error() -> No
 @pytest.mark.parametrize(
     ("weights", "present", "expected"),
     [
-        ((0.0, 0.0), (True, True), 4.0),
-        ((0.0, 1.0), (True, True), 0.0),
-        ((0.1, 0.25), (True, True), 3.0),
-        ((0.0, 0.5), (False, True), 2.0),
-        ((0.0, 0.0), (True, False), 4.0),
-        ((0.0, 0.0), (False, False), 3.0),
+        ((0.0, 0.0, 0.0), (True, True, True), (4.0, 4.0)),
+        ((0.0, 1.0, 0.0), (True, True, True), (0.0, 4.0)),
+        ((0.1, 0.25, 0.5), (True, True, True), (3.0, 2.0)),
+        ((0.0, 0.5, 0.0), (False, True, False), (2.0, 3.0)),
+        ((0.0, 0.0, 1.0), (True, False, True), (4.0, 0.0)),
+        ((0.0, 0.0, 0.0), (False, False, False), (3.0, 3.0)),
     ],
 )
-def test_a_row_counts_as_far_as_its_best_channel_was_rejected(
-    weights: tuple[float, ...], present: tuple[bool, ...], expected: float
+def test_a_row_counts_as_far_as_a_groups_best_channel_was_rejected(
+    weights: tuple[float, ...], present: tuple[bool, ...], expected: tuple[float, ...]
 ) -> None:
-    found = Recovery().count(tensor(3.0), tensor(weights), torch.tensor(present))
-    assert number(found) == pytest.approx(expected, abs=1e-14)
+    streak = tensor([3.0, 3.0])
+    found = Recovery().count(streak, tensor(weights), torch.tensor(present), [(0, 1), (2,)])
+    assert_close(found, tensor(expected), 1e-14)
 
 
 @given(rows=st.lists(st.floats(0.0, 1.0), min_size=1, max_size=12))
 def test_the_count_never_exceeds_the_rows_and_ends_at_an_accepted_channel(
     rows: list[float],
 ) -> None:
-    streak, expected, here = tensor(0.0), 0.0, torch.tensor([True])
+    streak, expected, here = tensor([0.0]), 0.0, torch.tensor([True])
     for i, w in enumerate([*rows, 1.0], start=1):
-        streak = Recovery().count(streak, tensor([w]), here)
+        streak = Recovery().count(streak, tensor([w]), here, [(0,)])
         expected = (expected + 1.0) * (1.0 - w)
         assert 0.0 <= number(streak) <= i
         assert number(streak) == pytest.approx(expected, abs=1e-12)
@@ -151,14 +152,14 @@ def test_widening_opens_the_gate_exactly_when_the_nis_falls_under_the_threshold(
 ) -> None:
     filter = three_channels(gate=Gate(), recovery=Recovery("widen", 1, 1.2), scope=scope)
     state = plane_belief(rng)
-    _, nominal = one(filter, after_rejections(state, 0.0), FAR)
+    _, nominal = one(filter, after_rejections(state, 0.0, len(filter.groups)), FAR)
     threshold = number(filter.prepare()["gate.thresholds"][2 if scope == "all" else 0])
     each = nominal.innovation.square() / nominal.innovation_variance
     nis = float(nominal.nis) if scope == "all" else float(each.min())
     needed = int(np.ceil(np.log(nis / threshold) / np.log(1.2)))
     assert needed > 1
     for count, opened in ((needed - 1.0, False), (float(needed), True)):
-        _, record = one(filter, after_rejections(state, count), FAR)
+        _, record = one(filter, after_rejections(state, count, len(filter.groups)), FAR)
         assert bool(record.gate.any()) is opened
 
 
@@ -189,6 +190,6 @@ def test_a_row_without_measurements_leaves_the_count_and_the_prediction(
     state = plane_belief(rng)
     mean, cov = textbook_predict(state, 0.5)
     after, _ = one(filter, after_rejections(state, 7.0), torch.full((3,), torch.nan).double())
-    assert number(after.memory[STREAK]) == 7.0
+    assert after.memory[STREAK].tolist() == [7.0, 7.0, 7.0]
     assert_close(after.mean, mean, 1e-13)
     assert_close(after.covariance, cov, 1e-12)
