@@ -219,7 +219,7 @@ class Filter(Modelled):
         return Belief(mean, deviations, memory)
 
     def _recovered(
-        self, constants: Values, streak: Tensor, linear: Linearised, present: Tensor
+        self, constants: Constants, streak: Tensor, linear: Linearised, present: Tensor
     ) -> tuple[Linearised, Tensor | None]:
         """The step with a grown covariance, or what gate and weights are widened by."""
         if self.recovery is None:

@@ -181,7 +181,7 @@ def _inflated(linear: Linearised, told: Tensor, extra: Tensor) -> Linearised:
     factor = compress(unit, c)
 
     def grown(columns: Tensor) -> Tensor:
-        blocks = [product(block, factor) for block in columns[..., :own].split(n, dim=-1)]
+        blocks = [product(block, factor) for block in columns[..., :own].chunk(own // n, dim=-1)]
         return torch.cat([*blocks, columns[..., own:]], dim=-1)
 
     return linear._replace(deviations=grown(linear.deviations), observed=grown(linear.observed))

@@ -102,7 +102,7 @@ class Weighing:
         how = self._reweighed if self.iterations else self._weighed_once
         return how(constants, linear, present, widening)
 
-    def weights(self, constants: Values, linear: Linearised, present: Tensor) -> Tensor:
+    def weights(self, constants: Constants, linear: Linearised, present: Tensor) -> Tensor:
         """(..., m), the weights that :meth:`condition` ends with."""
         if self.iterations:
             return self._reweighed(constants, linear, present, None)[1].weight
@@ -122,7 +122,7 @@ class Weighing:
         return conditioned, _record(linear, s, weight, prior_weight, gate, present)
 
     def _once(
-        self, constants: Values, linear: Linearised, present: Tensor, widening: Tensor | None
+        self, constants: Constants, linear: Linearised, present: Tensor, widening: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Residuals in sigmas, weights and gates from the nominal innovation, each (..., m)."""
         scales = self._scales(linear, widening)
