@@ -14,9 +14,9 @@ from difffilter.adaptation.registry import adapter as adapter
 from difffilter.adaptation.scaling import InnovationScaling as InnovationScaling
 from difffilter.adaptation.trust import trust_gap as trust_gap
 from difffilter.baselines.bearing_lines import BearingLeastSquares as BearingLeastSquares
-from difffilter.baselines.chan import ChanLeastSquares as ChanLeastSquares
-from difffilter.baselines.chan import chan as chan
 from difffilter.baselines.chan_ekf import ChanEKF as ChanEKF
+from difffilter.baselines.closed_form import ChanLeastSquares as ChanLeastSquares
+from difffilter.baselines.closed_form import chan as chan
 from difffilter.baselines.least_squares import Snapshot as Snapshot
 from difffilter.baselines.least_squares import TaylorLeastSquares as TaylorLeastSquares
 from difffilter.baselines.registry import BASELINES as BASELINES

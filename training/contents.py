@@ -15,10 +15,11 @@ def contents(
     """A table of the paper's figures and tables, and claims that no run can check.
 
     Args:
-        items: of the paper, as its specification tells of them: name, what it is, where here.
+        items: of the paper: name, what it is, where here.
         unchecked: claim to the reason why it cannot be checked.
     """
     report.heading("The paper's figures and tables")
+    report.text("Of the claims below, those that name no paper are this project's own targets.")
     report.table("the paper's items", ["the paper", "what it is", "here"], items)
     for text, why in unchecked.items():
         report.claim(text, None, {"why": why})

@@ -2,8 +2,8 @@
 
 from difffilter.adaptation.scaling import InnovationScaling
 from difffilter.baselines.bearing_lines import BearingLeastSquares
-from difffilter.baselines.chan import ChanLeastSquares, chan
 from difffilter.baselines.chan_ekf import ChanEKF
+from difffilter.baselines.closed_form import ChanLeastSquares, chan
 from difffilter.baselines.least_squares import TaylorLeastSquares, gauss_newton
 
 __all__ = [

@@ -8,7 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from difffilter.baselines.chan import chan, range_differences, the_tdoa
+from difffilter.baselines.closed_form import chan, range_differences, the_tdoa
 from difffilter.baselines.least_squares import Snapshot, check_channels
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from difffilter.baselines.bearing_lines import BearingLeastSquares
-from difffilter.baselines.chan import ChanLeastSquares
 from difffilter.baselines.chan_ekf import ChanEKF
+from difffilter.baselines.closed_form import ChanLeastSquares
 from difffilter.baselines.least_squares import Snapshot, TaylorLeastSquares
 from difffilter.errors import InputError
 from difffilter.motions.blocks import ConstantVelocity

@@ -1,4 +1,4 @@
-"""The systems of a scenario made of their specifications: filters and baselines."""
+"""The systems of a scenario made of what its file says: filters and baselines."""
 
 from __future__ import annotations
 

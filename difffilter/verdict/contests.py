@@ -95,13 +95,13 @@ def contest(
     )
     warm(scenario, filter, settings, log, engine)
     for seed in seeds:
-        found, spent = _course(scenario, filter, settings, held, seed, log, engine)
+        task = Task(scenario, filter, settings, seed=seed, train=log, asked=engine)
+        found, spent = _course(task, held)
         yield found
         budget = BUDGET * spent
         for method in methods:
             other = replace(settings, optimiser=method, runs=budget, steps=10**6, starts=1)
-            found, _ = _course(scenario, filter, other, held, seed, log, engine)
-            yield found
+            yield _course(replace(task, settings=other), held)[0]
 
 
 def warm(
@@ -114,32 +114,23 @@ def warm(
         descend(Task(scenario, filter, chosen, train=log, asked=engine))
 
 
-def _course(
-    scenario: Case,
-    filter: Recipe,
-    settings: TuneSettings,
-    held: HeldOut,
-    seed: int,
-    log: Log | None,
-    engine: str,
-) -> tuple[Course, float]:
+def _course(task: Task, held: HeldOut) -> tuple[Course, float]:
     """One tuning, and the filter runs that it spent."""
-    task = Task(scenario, filter, settings, seed=seed, train=log, asked=engine)
     found = descend(task)
     best, judged, losses, errors = float("inf"), (0.0, 0.0), [], []
-    rows = task.referred(started(scenario, filter, held.log))
+    rows = task.referred(started(task.case, task.recipe, held.log))
     for entry in found.entries:
         if entry.validation < best:
             best = entry.validation
             values = {n: torch.tensor(v, dtype=torch.float64) for n, v in entry.values.items()}
             outcome = held.outcome(values)
-            loss, _ = total_loss(settings.loss, outcome.track, rows, task.context)
+            loss, _ = total_loss(task.settings.loss, outcome.track, rows, task.context)
             judged = (float(loss), outcome.rmse)
         losses.append(judged[0])
         errors.append(judged[1])
     course = Course(
         task.optimiser,
-        seed,
+        task.seed,
         tuple(entry.runs for entry in found.entries),
         found.seconds,
         tuple(losses),

@@ -1,4 +1,4 @@
-"""Plug-ins of paper 4 against the specification, missing channels, soft forms, gradients."""
+"""Plug-ins of paper 4 against oracles in NumPy, missing channels, soft forms, gradients."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ NOISE = np.full(2, 49.0)  # of fusion_cases.position
 
 @pytest.mark.parametrize("system", cubature.FILTERS)
 @pytest.mark.parametrize("name", SCENES)
-def test_over_a_whole_scene_a_filter_is_that_of_the_specification(name: str, system: str) -> None:
+def test_over_a_whole_scene_a_filter_is_that_of_the_oracle(name: str, system: str) -> None:
     track = estimated(name, system)
     z, start = measured(name, "r")
     for b in range(2):
@@ -61,7 +61,7 @@ def test_over_a_whole_scene_a_filter_is_that_of_the_specification(name: str, sys
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_matching_and_correction_in_a_chain_are_those_of_the_specification(name: str) -> None:
+def test_matching_and_correction_in_a_chain_are_those_of_the_oracle(name: str) -> None:
     track = estimated(name, "pooled-robust")
     z, start = measured(name, "pooled")
     for b in range(2):

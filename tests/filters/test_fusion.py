@@ -1,4 +1,4 @@
-"""Distributed fusion of one robust and two adaptive subsystems, against the specification."""
+"""Distributed fusion of one robust and two adaptive subsystems, against an oracle in NumPy."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ DEVIATIONS = torch.diag(tensor(P0.diagonal() ** 0.5))
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_over_a_whole_scene_the_fusion_is_that_of_the_specification(name: str) -> None:
+def test_over_a_whole_scene_the_fusion_is_that_of_the_oracle(name: str) -> None:
     track = estimated(name, "fusion")
     z, start = measured(name, "r", "a1", "a2")
     assert track.record is not None
@@ -59,7 +59,7 @@ def test_over_a_whole_scene_the_fusion_is_that_of_the_specification(name: str) -
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_flags_and_corrections_in_any_order_are_those_of_the_specification(seed: int) -> None:
+def test_flags_and_corrections_in_any_order_are_those_of_the_oracle(seed: int) -> None:
     filter = fused()
     log = bent_log(filter, 20, 2, seed)
     z = log.z.clone()

@@ -20,7 +20,6 @@ LONG_FILES: set[str] = {
     "difffilter/robust/weighing.py",
 }
 LONG_FUNCTIONS: set[tuple[str, str]] = {
-    ("difffilter/baselines/chan.py", "chan"),
     ("difffilter/core/sweep_gradient.py", "backward"),
     ("difffilter/engine/trace.py", "trace"),
     ("difffilter/filters/fusion.py", "step"),
@@ -29,8 +28,6 @@ LONG_FUNCTIONS: set[tuple[str, str]] = {
     ("difffilter/start/fit.py", "gauss_newton"),
     ("difffilter/start/measurements.py", "from_measurements"),
     ("difffilter/tuning/loop.py", "tune"),
-    ("training/bearing/run.py", "main"),
-    ("training/uwb/run.py", "main"),
 }
 LONG_CALLS: set[tuple[str, str]] = {
     ("difffilter/baselines/least_squares.py", "gauss_newton"),
@@ -40,12 +37,10 @@ LONG_CALLS: set[tuple[str, str]] = {
     ("difffilter/engine/rules/shapes.py", "rule"),
     ("difffilter/engine/trace.py", "Traced"),
     ("difffilter/filters/prediction.py", "_linearise"),
-    ("difffilter/reports/figures/tracks.py", "_draw_error"),
     ("difffilter/robust/weighing.py", "Record"),
     ("difffilter/running/batch.py", "Track"),
-    ("difffilter/verdict/contests.py", "_course"),
 }
-SHADOWED = {"difffilter/baselines/__init__.py"}
+SHADOWED: set[str] = set()
 CIRCLES: set[frozenset[str]] = set()
 
 

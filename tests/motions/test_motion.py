@@ -233,7 +233,7 @@ def test_noise_of_the_states_is_named_by_state_and_of_a_shape() -> None:
 
 
 def turn_matrix(w: float, t: float) -> np.ndarray:
-    """Specification 4, with the states as [x, y, vx, vy]."""
+    """Paper 4, with the states as [x, y, vx, vy]."""
     s, c = np.sin(w * t), np.cos(w * t)
     return np.array(
         [[1, 0, s / w, -(1 - c) / w], [0, 1, (1 - c) / w, s / w], [0, 0, c, -s], [0, 0, s, c]]
@@ -242,7 +242,7 @@ def turn_matrix(w: float, t: float) -> np.ndarray:
 
 @pytest.mark.parametrize("dt", [0.1, 1.0, 30.0])
 @pytest.mark.parametrize("rate", [0.05, -0.3, 3.0])
-def test_a_coordinated_turn_is_the_specifications_matrix(
+def test_a_coordinated_turn_is_the_papers_matrix(
     rng: np.random.Generator, rate: float, dt: float
 ) -> None:
     motion = CoordinatedTurn(2, "state", 1.0, turn_rate=rate)

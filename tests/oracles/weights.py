@@ -1,4 +1,4 @@
-"""Hard weight functions of a standardised residual s, plain NumPy (specification: weights.md).
+"""Hard weight functions of a standardised residual s, plain NumPy.
 
 Each takes an array of any shape and returns weights in [0, 1] of the same shape.
 """

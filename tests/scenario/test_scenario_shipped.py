@@ -63,11 +63,11 @@ def test_the_list_of_shipped_scenarios_is_complete() -> None:
 
 
 @pytest.mark.parametrize("name", SYSTEMS)
-def test_the_systems_of_the_specification_are_there_by_name(name: str) -> None:
+def test_the_systems_of_the_papers_are_there_by_name(name: str) -> None:
     assert list(load_scenario(name).systems) == SYSTEMS[name].split()
 
 
-def test_the_airport_is_that_of_the_specification() -> None:
+def test_the_airport_is_the_calibrated_one() -> None:
     scenario = load_scenario("airport-mlat")
     tdoa, world = scenario.sensors["tdoa"], scenario.world
     assert world is not None

@@ -15,7 +15,7 @@ from difffilter.scenario.world import World, read_world
 from difffilter.seeds import stream
 
 PLANE = {"dt": 1.0, "steps": 150, "position": [2000.0, 2000.0], "velocity": [100.0, 100.0]}
-#: [x, vx, y, vy], as the specification writes it, to [x, y, vx, vy].
+#: [x, vx, y, vy], as the paper writes it, to [x, y, vx, vy].
 ORDER = [0, 2, 1, 3]
 
 
@@ -28,7 +28,7 @@ def path(made: World, runs: int = 1, seed: int = 0) -> np.ndarray:
 
 
 def turn_matrix(rate: float, dt: float) -> np.ndarray:
-    """F_CT of specification 4 on [x, vx, y, vy]."""
+    """F_CT of paper 4 on [x, vx, y, vy]."""
     s, c = np.sin(rate * dt), np.cos(rate * dt)
     return np.array(
         [

@@ -101,7 +101,7 @@ def test_the_rmse_is_that_of_the_single_epoch_oracle(setting: str, name: str) ->
     assert found == pytest.approx(expected, rel=1e-8)
 
 
-#: Specification 3, RMSE in m over 100 runs, start-up included: within chance of 100 runs.
+#: Computed independently: RMSE in m over 100 runs, start-up included; within chance of 100 runs.
 SPECIFIED = {
     ("intermittent", "ekf"): 2.64,
     ("intermittent", "huber"): 1.22,
@@ -116,7 +116,7 @@ SPECIFIED = {
 
 
 @pytest.mark.parametrize(("setting", "name"), SPECIFIED)
-def test_the_rmse_is_near_the_specifications(setting: str, name: str) -> None:
+def test_the_rmse_is_near_the_references(setting: str, name: str) -> None:
     assert system_rmse(setting, name) == pytest.approx(SPECIFIED[setting, name], rel=0.1)
 
 

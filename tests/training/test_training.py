@@ -56,7 +56,7 @@ def test_the_bearing_experiment_runs_and_leaves_reports_figures_and_checkpoints(
         assert {row["system"] for row in rows} == {
             "ls", "weighted-ls", "ekf", "robust", "robust-noise", "gated", "clairvoyant",
         }  # fmt: skip
-        assert [row["from"] for row in rows].count("specification") == 4
+        assert [row["from"] for row in rows].count("reference") == 4
     assert {f"figure-{number}" for number in (2, 3, 4)} | {"lock-out"} <= {
         figure["name"] for figure in report["figures"]
     }
@@ -95,7 +95,7 @@ def test_the_manoeuvre_experiment_runs_and_leaves_reports_figures_and_checkpoint
 ) -> None:
     report = run_quick("training.manoeuvre.run", tmp_path)
     rows = report["tables"]["reference"]
-    assert [row["system"] for row in rows if row["from"] == "specification"] == [
+    assert [row["system"] for row in rows if row["from"] == "reference"] == [
         "srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf", "fusion",
     ]  # fmt: skip
     assert len([row for row in rows if row["from"] == "here"]) == 9

@@ -1,4 +1,4 @@
-"""The urban scenario: the specification's prototype, its variants, and what tuning sees."""
+"""The urban scenario: beside a reference, its variants, and what tuning sees."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from difffilter.tuning.task import Task
 
 NAME = "urban-credibility"
 RUNS = 20
-#: Specification 2: FSP in m of the prototype (200 runs) by scene.
-PROTOTYPE = {
+#: FSP in m of a reference computed independently (200 runs), by scene.
+REFERENCE = {
     "standard": (1.07, 3.04, 3.55, 1.13),
     "credibility": (1.06, 1.85, 2.68, 1.13),
     "ideal": (0.79, 1.20, 1.84, 0.78),
@@ -59,25 +59,25 @@ def found(system: str) -> FSP:
     return fsp(*full(), system)
 
 
-@pytest.mark.parametrize("system", PROTOTYPE)
-def test_every_cell_is_near_the_prototypes_and_the_papers(system: str) -> None:
+@pytest.mark.parametrize("system", REFERENCE)
+def test_every_cell_is_near_the_references_and_the_papers(system: str) -> None:
     delta = array(found(system).delta)
-    assert np.abs(delta / PROTOTYPE[system] - 1.0).max() < 0.25
+    assert np.abs(delta / REFERENCE[system] - 1.0).max() < 0.25
     assert np.abs(delta / PAPER[system] - 1.0).mean() < 0.15
 
 
 def test_credibility_lies_between_the_fixed_and_the_ideal_filter() -> None:
-    standard, own, ideal = (found(name).delta for name in PROTOTYPE)
+    standard, own, ideal = (found(name).delta for name in REFERENCE)
     assert bool((ideal < own).all())
     assert bool((own[:3] < 1.02 * standard[:3]).all())
     assert bool((own[1:3] < 0.85 * standard[1:3]).all())
-    ratio = {name: array(found(name).ratio(found("ideal"))) for name in PROTOTYPE}
+    ratio = {name: array(found(name).ratio(found("ideal"))) for name in REFERENCE}
     loss = {name: 1.0 - xi[1] / xi[0] for name, xi in ratio.items()}
     assert 0.3 < loss["standard"] < 0.65
     assert 0.0 < loss["credibility"] < 0.25
 
 
-@pytest.mark.parametrize("system", PROTOTYPE)
+@pytest.mark.parametrize("system", REFERENCE)
 @pytest.mark.parametrize("name", [NAME, "urban-credibility-2d"])
 def test_a_trajectory_of_the_scenario_is_the_oracles(name: str, system: str) -> None:
     scenario = load_scenario(name)
@@ -174,7 +174,7 @@ def test_tuning_compares_with_the_published_filter_on_the_same_trajectories() ->
     assert "reference.squared" not in Task(scenario, filter, plain, 3).check.log.inputs
 
 
-def test_what_is_tuned_is_what_the_specification_names() -> None:
+def test_what_is_tuned_is_what_the_paper_names() -> None:
     filter = load_scenario(NAME).system("credibility")
     assert {name for name, p in filter.declarations.items() if p.tuned} == {
         "motion.acceleration", "position_1.sigma", "position_2.sigma",

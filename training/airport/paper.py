@@ -1,6 +1,6 @@
 """What paper 3 shows: its quoted numbers, its items and what it leaves open.
 
-Specification 3 quotes two numbers of the paper; all others come from the run.
+Two numbers are quoted of the paper; all others come from the run.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ SAYS = {
     "figure 6": "Figure 6 shows a track along runway A, x = 500 m, from y = 200 m at 50 km/h. "
     "NLOS strikes every difference, N_L U(0.5, 1) ns (the literal reading).",
     "figure 7": "Figure 7 shows the RMSE in windows of 50 points over 1000.",
-    "figure 8": "Figure 8 shows the RMSE against sigma, line of sight alone. The specification "
-    "quotes no value of it.",
+    "figure 8": "Figure 8 shows the RMSE against sigma, line of sight alone. No value of it "
+    "is quoted here.",
     "figure 9": f"Figure 9 shows the RMSE against N_L. Under NLOS the EKF is said to err by "
     f"{QUOTED['ekf']:g} m, the M-EKF by {QUOTED['m-ekf']:g} m.",
     "all systems": "its baselines are Taylor-series least squares, Chan's closed form, the EKF, "
@@ -28,14 +28,14 @@ ITEMS = (
     ("Figure 7", "RMSE in windows of 50 points", "regenerated: figure-7-windows, both readings"),
     ("Figure 8", "RMSE against sigma, no NLOS", "regenerated: figure-8-noise and its tables"),
     ("Figure 9", "RMSE against N_L", "regenerated: figure-9-nlos and its tables, both readings"),
-    ("other figures, tables", "not described in the specification", "not regenerated"),
+    ("other figures, tables", "nothing here to compare with", "not regenerated"),
 )
 UNCHECKED = {
     "paper 3: where the receivers stand": "the paper's figure gives no coordinates; calibrated",
     "paper 3: its time step, and its clipping points a and b of eq. (25)":
         "the paper leaves them open; 0.1 s, a = 1.5 and b = 4 are calibrated",
-    "paper 3: the values of the curves in Figures 6 to 9": "the specification quotes none but "
+    "paper 3: the values of the curves in Figures 6 to 9": "known here are only "
         "the EKF's and the M-EKF's error under NLOS",
     "paper 3: its tables, and its figures other than the field and 6 to 9":
-        "the specification describes none",
+        "nothing here to compare with",
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Tables of the airport experiment: every system at each NLOS setting, beside the prototype."""
+"""Tables of the airport experiment: every system at each NLOS setting, beside the reference."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from difffilter.reports.report import Report
 from training.airport.claims import judge_mad
 from training.airport.paper import SAYS
 
-#: RMSE in m that a prototype of the published filters gave with 100 runs (N_L in ns, p).
+#: RMSE in m of a reference computed independently, 100 runs (N_L in ns, p).
 COLUMNS = ("ekf", "huber", "m-ekf", "m-ekf-all-rows", "m-ekf-mad")
 REFERENCE: dict[tuple[float, float], tuple[float, ...]] = {
     (0, 1.0): (0.92, 0.92, 0.93, 0.93, 1.11),
@@ -52,8 +52,9 @@ def reference_table(
         best.append(all(got["clairvoyant"].rmse <= row.rmse * (1 + 1e-9) for row in table.rows))
     report.text(
         f"RMSE in m over {trajectories} trajectories of 100 steps, start included. The reference "
-        "values come from 100 runs of a prototype: at (100 ns, 0.3) the M-EKF on measurement "
-        "rows loses track in a few runs, which then decide the RMSE; the median run tells more."
+        "values were computed independently, over 100 runs: at (100 ns, 0.3) the M-EKF on "
+        "measurement rows loses track in a few runs, which then decide the RMSE; the median run "
+        "tells more."
     )
     head = ["N_L (ns)", "p", "system", "reference", "here", "ratio", "median run"]
     report.table("reference values", head, rows)

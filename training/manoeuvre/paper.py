@@ -1,7 +1,7 @@
 """What paper 4 shows, beside what is drawn here, and what its text leaves open.
 
-Specification 4 quotes no error of the paper: all numbers of errors here come from this run or
-from a prototype of the same reconstruction.
+No error of the paper is quoted: all numbers of errors here come from this run, or from a
+reference of the same reconstruction, computed independently.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _SCENE_2 = (
 _OWN = " Which curves figures 7 and 8 show is not told; the chain pooled-robust is none of its own."
 #: What the paper says of its figures and tables.
 SAYS = {
-    "reference": "no error in metres is quoted in the specification: the rows specification come "
-    "from 200 runs of a prototype of this reconstruction.",
+    "reference": "no error in metres is quoted of it: the rows reference come from 200 runs of the "
+    "same reconstruction, computed independently.",
     "figure 2": "turns for 30 < k <= 60 and 90 < k <= 120, a jump of the velocity by 30 m/s per "
     "axis at 80 s; measurements zero at 10 to 12 s, offsets of 400 m at 80 s and 300 m at 105 s. "
     "The start and the turn rates are reconstructed.",
@@ -34,19 +34,19 @@ SAYS = {
     "figure 8": _SCENE_2 + _OWN,
 }
 ITEMS = (
-    ("Figure 2", "the track; not described in the specification", "drawn: figure-2-track"),
+    ("Figure 2", "the track", "drawn: figure-2-track"),
     ("Figures 3, 4", "RMSE of x and y, scene 1", "regenerated: figure-3, figure-4"),
     ("Figures 5 to 8", "RMSE of x and y, scene 2", "regenerated: figure-5 to figure-8; which is "
      "which is not told"),
-    ("tables of the mean RMSE", "no value quoted in the specification",
+    ("tables of the mean RMSE", "no value of the paper is known here",
      "regenerated in kind: reference"),
-    ("Figure 1, other tables", "not described in the specification", "not regenerated"),
+    ("Figure 1, other tables", "nothing here to compare with", "not regenerated"),
 )  # fmt: skip
 UNCHECKED = {
-    "paper 4: its errors in metres": "the specification quotes none",
+    "paper 4: its errors in metres": "none is quoted here",
     "paper 4: its equations": "they survive only in the paper's words; the filters here are a "
         "reconstruction that makes its claims come out",
     "paper 4: its start, P0 and turn rates": "not stated; reconstructed",
     "paper 4: which curves figures 7 and 8 show, its Figure 1 and its tables":
-        "the specification does not say",
+        "not known here",
 }  # fmt: skip

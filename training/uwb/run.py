@@ -12,6 +12,7 @@ simulation (checkpoints/uwb-simulated.json) and on one, two or three runs, on ev
 
 from __future__ import annotations
 
+import argparse
 import sys
 from dataclasses import replace
 
@@ -24,6 +25,9 @@ from training.common import QUICK, Stages, arguments, checkpoint_path
 from training.uwb.claims import judge
 from training.uwb.scores import BEST, LOSSES, RUNS
 from training.uwb.transfer import logs, transfer
+
+#: Values that the table shows.
+SHOWN = ("motion.acceleration", "range.sigma", "imq.k")
 
 
 def main() -> int:
@@ -39,38 +43,22 @@ def main() -> int:
     report.text(" ".join(scenario.notes) + (QUICK if options.quick else ""))
     stages = Stages(len(RUNS) + 4, options.quiet)
 
-    rows, scores, rotated = [], {}, {}
+    rows: list[list[object]] = []
+    scores: dict[tuple[str, str], df.Row] = {}
+    rotated: dict[str, df.Checkpoint] = {}
     for run in RUNS:
         stages.next(f"tuned without {run}, tested on it")
-        train = logs(scenario, options, [name for name in RUNS if name != run])
-        test = logs(scenario, options, [run])
-        published = df.compare(scenario, log=test)
+        published, found = leave_out(run, scenario, options, quick, stages)
         for row in published.rows:
             rows.append([run, row.system, "hand-picked", row.rmse, row.nees_per_state, *[""] * 3])
         scores[run, "hand-picked"] = published.row("robust")
-        for name, loss in LOSSES.items():
-            stages.detail(name)
-            result = df.tune(
-                scenario,
-                train,
-                validation=train,
-                seed=options.seed,
-                test=test,
-                settings=quick | {"loss": loss},
-                progress=not options.quiet,
-            )
-            assert result.held_out is not None
-            row = result.held_out.row("robust", "tuned")
+        for name, (row, checkpoint) in found.items():
             scores[run, name] = row
-            values = [
-                float(result.checkpoint.values[key])
-                for key in ("motion.acceleration", "range.sigma", "imq.k")
-            ]
+            values = [float(checkpoint.values[key]) for key in SHOWN]
             rows.append([run, "robust", f"tuned: {name}", row.rmse, row.nees_per_state, *values])
-            if name == BEST:
-                rotated[run] = result.checkpoint
-                df.save(result.checkpoint, options.out / f"uwb-ranges-without-{run}.json")
-                draw(report, run, test, result.checkpoint)
+        rotated[run] = found[BEST][1]
+        df.save(rotated[run], options.out / f"uwb-ranges-without-{run}.json")
+        draw(report, run, logs(scenario, options, [run]), rotated[run])
 
     stages.next("tuned on all four runs")
     every = logs(scenario, options, list(RUNS))
@@ -95,21 +83,54 @@ def main() -> int:
         checkpoint_path("uwb-ranges", options),
     )
     stages.next("tables")
-    report.heading("Held-out runs")
-    report.text(
-        "Horizontal RMSE in m over the rows with at least one range, from the first measurement "
-        "on; NEES per axis, 1 expected. The ESKF of the data's authors had an IMU as well."
-    )
-    for entry in scenario.references:
-        rows.append([entry.run, entry.system, "published", entry.rmse, None, "", "", ""])
-    rows.sort(key=lambda row: RUNS.index(row[0]))
-    head = ["run", "system", "values", "RMSE (m)", "NEES per axis", "q (m/s^2)", "sigma (m)", "k"]
-    report.table("held-out runs", head, rows)
+    held_out_table(report, scenario, rows)
     judge(report, scenario, scores)
     stages.next("what transfers, from simulation and from run to run")
     transfer(report, options, scenario, rotated, quick)
     stages.next(f"wrote {report.write()}")
     return 0
+
+
+def leave_out(
+    run: str,
+    scenario: df.Scenario,
+    options: argparse.Namespace,
+    quick: dict[str, int],
+    stages: Stages,
+) -> tuple[df.Comparison, dict[str, tuple[df.Row, df.Checkpoint]]]:
+    """Hand-picked values on a run, and those tuned on the others, with each loss."""
+    train = logs(scenario, options, [name for name in RUNS if name != run])
+    test = logs(scenario, options, [run])
+    found = {}
+    for name, loss in LOSSES.items():
+        stages.detail(name)
+        result = df.tune(
+            scenario,
+            train,
+            validation=train,
+            seed=options.seed,
+            test=test,
+            settings=quick | {"loss": loss},
+            progress=not options.quiet,
+        )
+        assert result.held_out is not None
+        found[name] = (result.held_out.row("robust", "tuned"), result.checkpoint)
+    return df.compare(scenario, log=test), found
+
+
+def held_out_table(report: Report, scenario: df.Scenario, rows: list[list[object]]) -> None:
+    """Every set of values on every run, beside what others publish of it."""
+    report.heading("Held-out runs")
+    report.text(
+        "Horizontal RMSE in m over the rows with at least one range, from the first measurement "
+        "on; NEES per axis, 1 expected. The ESKF of the data's authors had an IMU as well."
+    )
+    rows = list(rows)
+    for entry in scenario.references:
+        rows.append([entry.run, entry.system, "published", entry.rmse, None, "", "", ""])
+    rows.sort(key=lambda row: RUNS.index(str(row[0])))
+    head = ["run", "system", "values", "RMSE (m)", "NEES per axis", "q (m/s^2)", "sigma (m)", "k"]
+    report.table("held-out runs", head, rows)
 
 
 def draw(report: Report, run: str, test: df.Log, checkpoint: df.Checkpoint) -> None:

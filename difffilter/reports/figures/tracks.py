@@ -27,7 +27,10 @@ def track_figure(log: Log, track: Track, trajectory: int = 0, title: str = "") -
         figure.suptitle(title)
     _draw_track(axes[0], log, track, mean, truth)
     for i, name in enumerate(track.states[:2]):
-        _draw_error(axes[1 + i], name, time, mean[:, i], std[:, i], truth, log)
+        true = None
+        if truth is not None and name in log.truth_states:
+            true = truth[:, log.truth_states.index(name)]
+        _draw_error(axes[1 + i], name, time, mean[:, i], std[:, i], true)
     _draw_weights(axes[3], track, time, weights)
     return figure
 
@@ -72,12 +75,11 @@ def _draw_error(
     mean: np.ndarray,
     std: np.ndarray,
     truth: np.ndarray | None,
-    log: Log,
 ) -> None:
     ax.fill_between(time, -3 * std, 3 * std, color=COLOURS["tuned"], alpha=0.18, lw=0)
     ax.plot([], [], color=COLOURS["tuned"], alpha=0.3, lw=6, label="3 sigma")
-    if truth is not None and name in log.truth_states:
-        error = mean - truth[:, log.truth_states.index(name)]
+    if truth is not None:
+        error = mean - truth
         ax.plot(time, error, color=COLOURS["tuned"], lw=0.8, label="error")
         span = np.nanmax(np.abs(error)) if np.isfinite(error).any() else 1.0
         limit = max(1.3 * span, 1.3 * 3 * float(np.nanmedian(std)))

@@ -58,8 +58,27 @@ def chan(
     reference = stations[..., 0, :]
     apart = stations[..., 1:, :] - stations[..., :1, :]
     lead = torch.broadcast_shapes(d.shape[:-1], apart.shape[:-2])  # type: ignore[no-untyped-call]
-    apart = apart.expand(*lead, *apart.shape[-2:])
-    design = -torch.cat([apart, d.expand(*lead, -1).unsqueeze(-1)], dim=-1)
+    apart, d = apart.expand(*lead, *apart.shape[-2:]), d.expand(*lead, -1)
+    u, normal, known = _first_step(d, apart, information, enough, iterations)
+    p = u[..., :axes]
+    shift, deviations, also_known = _second_step(u, normal)
+    known = known & also_known
+    if tangent:
+        solution = p + shift
+    else:
+        solution = p.sign() * positive_sqrt((p.square() + 2.0 * p * shift).clamp_min(0.0))
+    return Fix(
+        torch.where(known.unsqueeze(-1), solution + reference, torch.nan),
+        torch.where(known[..., None, None], deviations, torch.nan),
+    )
+
+
+def _first_step(
+    d: Tensor, apart: Tensor, information: Tensor, enough: Tensor, iterations: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """u = (position, r_1) relative to station 1, its information, and whether it is known."""
+    axes = apart.shape[-1]
+    design = -torch.cat([apart, d.unsqueeze(-1)], dim=-1)
     target = (0.5 * (d.square() - apart.square().sum(-1))).unsqueeze(-1)
     weighted = information @ design
     for iteration in range(iterations + 1):
@@ -72,25 +91,22 @@ def chan(
             distance = torch.linalg.vector_norm(u[..., None, :axes] - apart, dim=-1)
             inverse = _away_from_zero(distance).reciprocal().unsqueeze(-1)
             weighted = inverse * (information @ (inverse * design))
+    return u, normal, known
+
+
+def _second_step(u: Tensor, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Shift dp of the position, its deviations, and whether they are known."""
+    axes = u.shape[-1] - 1
     p, r1 = u[..., :axes], u[..., axes:]
     size = _away_from_zero(torch.cat([r1.abs(), p.abs()], dim=-1))[..., :1]
     r1 = torch.where(r1 < 0, -size, size)
     mismatch = ((r1.square() - p.square().sum(-1, keepdim=True)) / (2.0 * r1)).unsqueeze(-1)
-    unit = torch.eye(axes, dtype=p.dtype, device=p.device).expand(*lead, axes, axes)
+    unit = torch.eye(axes, dtype=p.dtype, device=p.device).expand(*u.shape[:-1], axes, axes)
     second = torch.cat([unit, (p / r1).unsqueeze(-2)], dim=-2)
     weighted = normal @ second
-    deviations, also_regular = covariance_factor(second.mT @ weighted)
+    deviations, regular = covariance_factor(second.mT @ weighted)
     right = weighted[..., axes:, :].mT @ mismatch  # the mismatch's other entries are zero
-    shift = (deviations @ (deviations.mT @ right)).squeeze(-1)
-    if tangent:
-        solution = p + shift
-    else:
-        solution = p.sign() * positive_sqrt((p.square() + 2.0 * p * shift).clamp_min(0.0))
-    known = known & also_regular
-    return Fix(
-        torch.where(known.unsqueeze(-1), solution + reference, torch.nan),
-        torch.where(known[..., None, None], deviations, torch.nan),
-    )
+    return (deviations @ (deviations.mT @ right)).squeeze(-1), deviations, regular
 
 
 def _away_from_zero(distance: Tensor) -> Tensor:
