@@ -9,11 +9,12 @@ the function of its place.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from html import escape
 
 from difffilter.errors import printable
 
-__all__ = ["c_comment", "html", "markdown", "prose", "tagless"]
+__all__ = ["c_comment", "html", "markdown", "markdown_table", "prose", "tagless"]
 
 #: What Markdown takes for more than text inside a line.
 _MARKS = re.compile(r"([\\`*|<>\[\]])")
@@ -47,6 +48,12 @@ def tagless(text: str) -> str:
 def markdown(text: str) -> str:
     """Plain text inside a line or a cell of Markdown."""
     return _MARKS.sub(r"\\\1", _whole(" ".join(text.split())))
+
+
+def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Lines of a table in Markdown, every cell plain text."""
+    lines = ["| " + " | ".join(map(markdown, cells)) + " |" for cells in (head, *rows)]
+    return [lines[0], "|" + "---|" * len(head), *lines[1:]]
 
 
 def prose(text: str) -> str:

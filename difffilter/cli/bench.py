@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
 
 from difffilter.cli.options import Commands, check_place, shows_progress, whole
+from difffilter.cli.output import aside, say
 
 __all__ = ["add"]
 
@@ -63,15 +63,11 @@ def command(args: Namespace) -> int:
     sizes = QUICK if args.quick else FULL
     if args.repetitions is not None:
         sizes = replace(sizes, repetitions=args.repetitions)
-    tell = _tell if shows_progress(args) else _silent
+    tell = aside if shows_progress(args) else _silent
     path = write(folder, measure(sizes, peers, tell), sizes, machine(peers), args.quick)
     shown = path.with_name("report.json") if args.json else path
-    print(shown.read_text(encoding="utf-8").rstrip())
+    say(shown.read_text(encoding="utf-8").rstrip())
     return 0
-
-
-def _tell(stage: str) -> None:
-    print(f"difffilter: {stage}", file=sys.stderr, flush=True)
 
 
 def _silent(stage: str) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from difffilter.cli.logs import need_log, not_clairvoyant, read_logs
 from difffilter.cli.options import Commands, check_place, load_case, shows_progress, whole
-from difffilter.cli.output import comparison_text, note
+from difffilter.cli.output import comparison_text, note, print_json, say
 from difffilter.cli.values import HELP, own_checkpoint, read_values, unfit
 from difffilter.errors import InputError
 from difffilter.files import json_text, write_atomically
@@ -94,12 +94,12 @@ def command(args: Namespace) -> int:
     if args.out:
         write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
     if args.json:
-        print(as_json)
+        print_json(comparison.as_dict())
     else:
         data = f"recorded logs: {comparison.trajectories}" if args.log else (
             f"{comparison.trajectories} held-out trajectories, seed {comparison.seed}"
         )  # fmt: skip
-        print(f"{scenario.name}: {data}\n\n{text}", end="")
+        say(f"{scenario.name}: {data}\n\n{text}".rstrip("\n"))
     return 0
 
 
@@ -120,7 +120,10 @@ def _worlds(
     if args.out:
         write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
     head = f"{scenario.name}: {len(found.family)} worlds\n\n"
-    print(as_json if args.json else head + text.rstrip("\n"))
+    if args.json:
+        print_json(found.as_dict())
+    else:
+        say(head + text.rstrip("\n"))
     return 0
 
 

@@ -7,6 +7,7 @@ import re
 from argparse import Namespace
 
 from difffilter.cli.options import Commands
+from difffilter.cli.output import say
 from difffilter.errors import InputError, shown
 
 __all__ = ["add"]
@@ -56,7 +57,7 @@ def command(args: Namespace) -> int:
 
     origin = _origin(args.origin)
     for path in export_c(load(args.checkpoint), args.out, args.name, args.single, origin=origin):
-        print(path)
+        say(str(path))
     return 0
 
 

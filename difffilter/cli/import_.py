@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from difffilter.cli.options import Commands, check_place, load_named
-from difffilter.cli.output import print_json
+from difffilter.cli.output import print_json, say
 from difffilter.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,13 +59,13 @@ def command(args: Namespace) -> int:
     if args.json:
         print_json({"scenario": scenario.name, "log": args.log, "out": args.out, **report})
         return 0
-    print(f"{scenario.name}: {report['rows']} rows over {report['seconds']:.6g} s in {args.out}")
+    say(f"{scenario.name}: {report['rows']} rows over {report['seconds']:.6g} s in {args.out}")
     for name, count in report["measurements"].items():
-        print(f"  {name}: {count} measurements")
+        say(f"  {name}: {count} measurements")
     for name, count in report["truth"].items():
-        print(f"  truth_{name}: {count} of {report['rows']} rows")
+        say(f"  truth_{name}: {count} of {report['rows']} rows")
     for line in report["told"]:
-        print(f"  {line}")
+        say(f"  {line}")
     return 0
 
 

@@ -13,7 +13,12 @@ if TYPE_CHECKING:
     from difffilter.comparison.comparison import Comparison
     from difffilter.scenario.case import Case
 
-__all__ = ["comparison_text", "note", "number", "print_json", "table"]
+__all__ = ["aside", "comparison_text", "note", "number", "print_json", "say", "table"]
+
+
+def say(text: str) -> None:
+    """Lines on stdout. Nothing of them moves the cursor or turns the direction of writing."""
+    print("\n".join(printable(line, most=len(line)) for line in text.split("\n")))
 
 
 def print_json(data: Mapping[str, Any]) -> None:
@@ -23,7 +28,12 @@ def print_json(data: Mapping[str, Any]) -> None:
 
 def note(text: str) -> None:
     """A line beside the result, on stderr."""
-    print(f"difffilter: note: {printable(text)}", file=sys.stderr)
+    aside(f"note: {text}")
+
+
+def aside(text: str) -> None:
+    """A line on stderr, at once."""
+    print(f"difffilter: {printable(text)}", file=sys.stderr, flush=True)
 
 
 def number(value: Any) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from difffilter.cli.logs import read_logs
 from difffilter.cli.options import Commands, whole
+from difffilter.cli.output import say
 from difffilter.errors import InputError
 
 __all__ = ["add"]
@@ -80,6 +81,6 @@ def command(args: Namespace) -> int:
             seeds=range(args.contest), progress=not args.quiet and sys.stderr.isatty(),
             engine=args.engine,
         )  # fmt: skip
-        print(f"{Path(path).stem}, {checkpoint.system}: {text}")
-    print(f"report written to {report.write().with_suffix('.html')}")
+        say(f"{Path(path).stem}, {checkpoint.system}: {text}")
+    say(f"report written to {report.write().with_suffix('.html')}")
     return 0

@@ -16,7 +16,7 @@ from difffilter.cli.options import (
     shows_progress,
     with_overrides,
 )
-from difffilter.cli.output import note, print_json
+from difffilter.cli.output import note, print_json, say
 from difffilter.cli.values import HELP, read_values, unfit
 from difffilter.errors import InputError, shown
 
@@ -120,8 +120,8 @@ def command(args: Namespace) -> int:
         print_json({**result, **about, "out": args.out})
     else:
         told = _text(result, log.truth is not None)
-        print(f"{job.scenario.name}, {job.system}, values {job.label}: {told}")
-        print(f"estimates written to {args.out}")
+        say(f"{job.scenario.name}, {job.system}, values {job.label}: {told}")
+        say(f"estimates written to {args.out}")
     return 0
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 
 from difffilter.cli.options import Commands
-from difffilter.cli.output import print_json, table
+from difffilter.cli.output import print_json, say, table
 from difffilter.files import data_folder
 
 __all__ = ["add"]
@@ -53,5 +53,5 @@ def command(args: Namespace) -> int:
         ]
         for entry in found
     ]
-    print(table(["scenario", "data", "values", "title"], rows, indent=""))
+    say(table(["scenario", "data", "values", "title"], rows, indent=""))
     return 0

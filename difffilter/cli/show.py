@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from difffilter.cli.options import Commands, load_named
-from difffilter.cli.output import number, print_json, table
+from difffilter.cli.output import number, print_json, say, table
 
 if TYPE_CHECKING:
     from difffilter.scenario.scenario import Scenario
@@ -55,7 +55,7 @@ def command(args: Namespace) -> int:
     if args.json:
         print_json(_data(scenario))
     else:
-        print("\n".join(_text(scenario)))
+        say("\n".join(_text(scenario)))
     return 0
 
 

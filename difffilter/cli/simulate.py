@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from difffilter.cli.options import Commands, check_place, load_named, whole
-from difffilter.cli.output import print_json
+from difffilter.cli.output import print_json, say
 from difffilter.errors import InputError
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def command(args: Namespace) -> int:
         )
     else:
         count = "1 log" if len(files) == 1 else f"{len(files)} logs"
-        print(f"{scenario.name}: {count} of {log.steps} rows with truth in {args.out}")
+        say(f"{scenario.name}: {count} of {log.steps} rows with truth in {args.out}")
     return 0
 
 

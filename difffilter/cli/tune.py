@@ -20,7 +20,7 @@ from difffilter.cli.options import (
     shows_progress,
     whole,
 )
-from difffilter.cli.output import comparison_text, number, print_json, table
+from difffilter.cli.output import aside, comparison_text, number, print_json, say, table
 from difffilter.errors import InputError, RankError
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def command(args: Namespace) -> int:
             engine=args.engine,
         )
     except KeyboardInterrupt:
-        print(f"difffilter: interrupted; {_how_to_resume(state_path(out))}", file=sys.stderr)
+        aside(f"interrupted; {_how_to_resume(state_path(out))}")
         return 130
     except RankError as error:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it is ending already
@@ -128,7 +128,7 @@ def command(args: Namespace) -> int:
     if args.json:
         print_json(_data(result, out, args.seed))
     else:
-        print(_text(result, out))
+        say(_text(result, out))
     return 0
 
 

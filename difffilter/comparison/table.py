@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
+from difffilter.escape import markdown_table
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.scoring.metrics import (
@@ -103,13 +104,17 @@ class Comparison:
         raise InputError(f"comparison: has no row {system} with {values} values")
 
     def markdown(self) -> str:
-        """The comparison as a Markdown table."""
+        """The comparison as a Markdown table; names in it are plain text, whatever they hold."""
+        return "\n".join(markdown_table(*self.cells())) + "\n"
+
+    def cells(self) -> tuple[list[str], list[list[str]]]:
+        """Head and rows of the table, as they are shown."""
         scenes = list(self.rows[0].per_scene) if self.rows else []
         head = [
             "system", "values", "RMSE (m)", "95 % interval", "median run (m)",
             f"ratio to {self.reference}", "NEES per state", "NIS per channel", *scenes,
         ]  # fmt: skip
-        lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+        rows = []
         for row in self.rows:
             low, high = row.ratio_ci95
             note = "" if row.estimated == 1.0 else f" ({100 * row.estimated:.1f} % of rows)"
@@ -125,8 +130,8 @@ class Comparison:
                 nis,
                 *(f"{row.per_scene[name]:.3f}" for name in scenes),
             ]
-            lines.append("| " + " | ".join(cells) + " |")
-        return "\n".join(lines) + "\n"
+            rows.append(cells)
+        return head, rows
 
 
 def tabulate(

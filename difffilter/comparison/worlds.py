@@ -13,6 +13,7 @@ from tqdm import tqdm
 from difffilter.comparison.comparison import Contestant, contestants, run_all
 from difffilter.comparison.table import Comparison, Row, tabulate
 from difffilter.errors import InputError
+from difffilter.escape import markdown_table
 from difffilter.logs.family import Family, Member
 from difffilter.logs.log import Log
 from difffilter.scenario.checkpoint import Checkpoint
@@ -66,7 +67,7 @@ class Worlds:
             "world", "system", "values", "RMSE (m)", "ratio to published", "95 % interval",
             "NEES per state", "allowed",
         ]  # fmt: skip
-        lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+        rows = []
         for member in self.family:
             for row in self.comparisons[member.name].rows:
                 low, high = row.ratio_ci95
@@ -74,8 +75,8 @@ class Worlds:
                     member.name, row.system, row.values, f"{row.rmse:.4g}", f"{row.ratio:.3f}",
                     f"{low:.3f} to {high:.3f}", f"{row.nees_per_state:.2f}", f"{member.allow:g}",
                 ]  # fmt: skip
-                lines.append("| " + " | ".join(cells) + " |")
-        return "\n".join(lines) + "\n"
+                rows.append(cells)
+        return "\n".join(markdown_table(head, rows)) + "\n"
 
 
 def compare_worlds(

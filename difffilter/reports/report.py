@@ -13,7 +13,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from difffilter.comparison.comparison import Comparison
-from difffilter.escape import html, markdown, prose
+from difffilter.escape import html, markdown, markdown_table, prose
 from difffilter.files import json_text, write_atomically
 from difffilter.provenance import git_commit, library_versions
 from difffilter.reports import page
@@ -85,17 +85,15 @@ class Report:
             paper: what the paper says about the same table, shown beside it.
         """
         cells = [[_cell(value) for value in row] for row in rows]
-        self._lines += [_line(head), "|" + "---|" * len(head), *map(_line, cells), ""]
+        self._lines += [*markdown_table(head, cells), ""]
         self._body.append(page.table(head, cells))
         self._data["tables"][name] = [dict(zip(head, row, strict=True)) for row in rows]
         self._paper(name, paper)
 
     def comparison(self, name: str, comparison: Comparison) -> None:
         """A comparison's table; the JSON keeps every field of its rows."""
-        shown = comparison.markdown()
-        self._lines += [shown, ""]
-        head, _, *rows = ([c.strip() for c in line.split("|")[1:-1]] for line in shown.splitlines())
-        self._body.append(page.table(head, rows))
+        self._lines += [comparison.markdown(), ""]
+        self._body.append(page.table(*comparison.cells()))
         self._data["comparisons"][name] = comparison.as_dict()
 
     def figure(self, figure: Figure, name: str, caption: str, paper: str = "") -> None:
@@ -149,11 +147,6 @@ class Report:
         write_atomically(self.folder / "report.html", page.page(self.title, self._body))
         write_atomically(self.folder / "report.json", json_text(self._data) + "\n")
         return path
-
-
-def _line(cells: Sequence[str]) -> str:
-    """A row of a Markdown table."""
-    return "| " + " | ".join(map(markdown, cells)) + " |"
 
 
 def _cell(value: Any) -> str:

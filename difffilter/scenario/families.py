@@ -37,8 +37,8 @@ def family(scenario: Scenario, log: Log | None = None) -> Family:
 
     Example:
         >>> from difffilter import family, load_scenario
-        >>> [member.name for member in family(load_scenario("airport-mlat-intermittent"))][:2]
-        ['base', 'without-faults']
+        >>> next(iter(family(load_scenario("airport-mlat-intermittent")))).name
+        'base'
     """
     if log is None and scenario.world is None:
         raise InputError(f"{scenario.name}: has no [world] to simulate, expected recorded logs")

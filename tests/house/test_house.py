@@ -134,6 +134,18 @@ def test_no_module_is_shadowed_by_an_object_of_its_name() -> None:
     assert found == SHADOWED
 
 
+def test_what_commands_print_passes_one_helper() -> None:
+    found = {
+        path
+        for path, tree in TREES.items()
+        if path.startswith("difffilter/cli/")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"
+    }
+    # Errors before anything is imported; the version, which is the package's own.
+    assert found == {f"difffilter/cli/{name}.py" for name in ("main", "options", "output")}
+
+
 def test_every_module_is_on_the_map() -> None:
     page = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
     for path in TREES:
