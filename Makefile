@@ -1,6 +1,8 @@
 # make reproduce   everything, from an empty checkout to report/
 # make test        lint, formatting, types, layers, tests
 # make bench       speed, memory and start beside JAX and others (an extra, installed on demand)
+# make fuzz        random recipes, logs and faults of the machine (SECONDS=120 SEED=0)
+# make sanitize    exported C of every checkpoint under AddressSanitizer and UBSan
 # make docs        this documentation as a site, with the API reference: site/index.html
 # Each sets up .venv first. QUICK=1 makes reproduce a matter of a minute.
 
@@ -10,7 +12,7 @@ BIN := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: setup reproduce test lint docs bench clean
+.PHONY: setup reproduce test lint fuzz sanitize docs bench clean
 
 setup: $(VENV)/.ready
 
@@ -33,6 +35,12 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo --no-cache
+
+fuzz: setup
+	$(BIN)/python tests/fuzz/campaign.py --seconds $(or $(SECONDS),120) --seed $(or $(SEED),0)
+
+sanitize: setup
+	$(BIN)/python tests/export/sanitize.py
 
 docs: setup
 	NO_MKDOCS_2_WARNING=true $(BIN)/mkdocs build --strict --quiet
