@@ -8,6 +8,7 @@ a violation; the smallest input of each is written into ``--out``.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import tempfile
@@ -55,6 +56,8 @@ def main(argv: list[str] | None = None) -> int:
             chosen = {name: kinds[name] for name in ([only] if only else kinds)}
             _run(chosen, args.seconds, args.seed, tally)
     print(tally.text())
+    args.out.mkdir(parents=True, exist_ok=True)
+    (args.out / "counts.json").write_text(json.dumps(tally.counts, indent=1) + "\n")
     return 1 if tally.counts["violations"] else 0
 
 
