@@ -59,7 +59,7 @@ class Model:
         >>> from difffilter import ConstantVelocity, Filter, Model, Position
         >>> car = Filter(ConstantVelocity(), (Position(sigma=2.0),), start_sigma=5.0)
         >>> Model(car, "car").system().channels
-        ('pos_x', 'pos_y')
+        ('position_1', 'position_2')
     """
 
     recipe: Recipe
