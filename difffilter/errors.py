@@ -10,6 +10,7 @@ __all__ = [
     "LogError",
     "NonFiniteError",
     "RankError",
+    "digits",
     "printable",
     "shown",
 ]
@@ -33,6 +34,21 @@ def shown(value: object, limit: int = 80) -> str:
     except RecursionError:
         return "what is nested too deep"
     return text if len(text) <= limit else f"{text[:limit]}..."
+
+
+def digits(value: float) -> str:
+    """A number for a table: three decimals from 0.1 to 1000, else its leading digits.
+
+    Example:
+        >>> digits(6.1415), digits(0.00034), digits(12345.6), digits(0.0)
+        ('6.142', '0.00034', '1.235e+04', '0')
+    """
+    size = abs(value)
+    if size == 0.0:
+        return "0"
+    if not 0.1 <= size < 1000.0:
+        return f"{value:.4g}" if size > 1.0 else f"{value:.3g}"
+    return f"{value:.3f}"
 
 
 class DifffilterError(Exception):

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 import os
+import shutil
 import tempfile
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from difffilter.errors import InputError
 
 __all__ = ["data_folder", "json_text", "write_atomically", "write_together"]
+
+#: Seconds after which a half-written file that nobody touches is left by a killed process.
+LEFT = 3600.0
 
 
 def write_atomically(path: str | Path, content: str | bytes | Callable[[BinaryIO], None]) -> None:
@@ -28,6 +35,7 @@ def write_atomically(path: str | Path, content: str | bytes | Callable[[BinaryIO
     path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _clean(path.parent, f".{glob.escape(path.name)}.????????")
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
@@ -64,13 +72,22 @@ def write_together(folder: str | Path, files: Mapping[str, str]) -> None:
             raise InputError(f"{folder / name}: found a folder, expected a file")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".") as aside:
+        _clean(folder, ".difffilter-????????")
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".difffilter-") as aside:
             for name, text in files.items():
                 write_atomically(Path(aside) / name, text)
             for name in files:
                 os.replace(Path(aside) / name, folder / name)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
+def _clean(folder: Path, pattern: str) -> None:
+    """Remove what killed processes left half-written; what is younger may still be in use."""
+    for left in folder.glob(pattern):
+        with suppress(OSError):
+            if time.time() - left.stat().st_mtime > LEFT:
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def data_folder(name: str) -> Path:

@@ -41,7 +41,7 @@ def note_missing_run(scenario: Scenario, run: str) -> None:
     if scenario.runs and run not in scenario.runs:
         note(
             f"{scenario.name}: log {run!r} is none of the runs {', '.join(scenario.runs)}; "
-            "the scenario's own positions are used"
+            "no run's positions apply, but those of the scenario or of --set"
         )
 
 

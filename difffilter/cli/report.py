@@ -60,8 +60,6 @@ def command(args: Namespace) -> int:
     held = [load(path) for path in args.checkpoint]
     if Path(args.out).exists() and not Path(args.out).is_dir():
         raise InputError(f"--out {args.out}: found a file, expected a folder")
-    if (args.log or args.train) and len(held) > 1:
-        raise InputError("--log: found several checkpoints, expected one with recorded logs")
     if args.train and not args.log:
         raise InputError("--train: found no --log beside it, expected recorded logs to judge on")
     for checkpoint in held:

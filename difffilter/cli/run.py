@@ -89,6 +89,7 @@ def command(args: Namespace) -> int:
 
     from difffilter.cli.estimates import summary, write_estimates
     from difffilter.logs.log import stack_logs
+    from difffilter.logs.times import Clock
     from difffilter.scenario.estimation import estimate, started
     from difffilter.scenario.recorded import read_run
     from difffilter.scenario.scenario import Scenario
@@ -96,11 +97,11 @@ def command(args: Namespace) -> int:
 
     if isinstance(job.scenario, Scenario):
         read = read_run(job.scenario, args.log)
-        log = stack_logs([read.log])
+        log, clock = stack_logs([read.log]), read.clock
         for line in read.told:
             note(line)
     else:
-        log = as_log(job.scenario, [args.log])
+        log, clock = as_log(job.scenario, [args.log]), Clock()
     system = job.scenario.system(job.system)
     frozen = job.values.values if job.values else None
     temperature = job.values.temperature if job.values else None
@@ -114,7 +115,7 @@ def command(args: Namespace) -> int:
     result = summary(log, track, job.scenario.score)
     if args.plot:
         _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, values {job.label}")
-    write_estimates(args.out, log, track, read.clock)
+    write_estimates(args.out, log, track, clock)
     about = {"scenario": job.scenario.name, "system": job.system, "values": job.label}
     if args.json:
         print_json({**result, **about, "out": args.out})

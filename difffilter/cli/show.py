@@ -11,6 +11,7 @@ from difffilter.cli.options import Commands, load_named
 from difffilter.cli.output import number, print_json, say, table
 
 if TYPE_CHECKING:
+    from difffilter.parameters.parameters import Parameter
     from difffilter.scenario.scenario import Scenario
 
 __all__ = ["add"]
@@ -103,13 +104,13 @@ def _text(scenario: Scenario) -> Iterator[str]:
     for key in WORLD:
         if key in document:
             yield from _lines(key, document[key])
-    yield "\nPublished values (SI units)"
+    yield "\nPublished values"
     head = ["parameter", "value", "unit", "tuned", "source"]
     yield table(
         head,
         (
-            [p["name"], number(p["value"]), p["unit"], "yes" if p["tuned"] else "", p["source"]]
-            for p in _parameters(scenario)
+            [p.name, _value(p), p.shown[0], "yes" if p.tuned else "", p.source]
+            for p in scenario.declarations().values()
         ),
     )
     yield "\nSystems"
@@ -124,6 +125,11 @@ def _text(scenario: Scenario) -> Iterator[str]:
             ["run", "system", "RMSE (m)", "source"],
             ([r.run, r.system, f"{r.rmse:g}", r.source] for r in scenario.references),
         )
+
+
+def _value(parameter: Parameter) -> str:
+    """The published value in the unit that it was given in."""
+    return number((parameter.tensor() / parameter.shown[1]).tolist())
 
 
 def _lines(key: str, value: Any) -> Iterator[str]:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["add"]
 
+#: Rows that are simulated at once.
+PART = 1_000_000
 #: First line of a log that is to be read as it is: without [log], whatever a fault made of it.
 MARKED = "1, SI units, simulated"
 EXAMPLE = """\
@@ -62,22 +64,28 @@ def command(args: Namespace) -> int:
     from difffilter.logs.logfile import write_log
     from difffilter.scenario.simulation import simulate
 
-    _check_memory(scenario, args.trajectories)
-    log = simulate(scenario, args.trajectories, args.seed)
-    if log.truth is not None and not bool(log.truth.isfinite().all()):
-        raise InputError(
-            f"{scenario.name}: the simulated truth is not finite, expected a world of moderate "
-            "numbers (world.dt, world.position, world.velocity, world.acceleration)"
-        )
+    world = scenario.world
+    part = max(1, PART // world.steps) if world else args.trajectories
+    _check_memory(scenario, min(part, args.trajectories))
     folder = Path(args.out)
     files = [
         folder if single else folder / f"{scenario.name}-{args.seed}-{i:04d}.csv"
         for i in range(args.trajectories)
     ]
     check_place(str(files[0]))
-    mark = MARKED if scenario.log or _beyond(scenario, log) else ""
-    for i, path in enumerate(files):
-        write_log(path, _one(log, i), mark)
+    for first in range(0, len(files), part):
+        places = files[first : first + part]
+        # A part has a stream of its own; the first one is what difffilter.simulate draws.
+        purpose = f"log {first // part}" if first else "log"
+        log = simulate(scenario, len(places), args.seed, purpose)
+        if log.truth is not None and not bool(log.truth.isfinite().all()):
+            raise InputError(
+                f"{scenario.name}: the simulated truth is not finite, expected a world of moderate "
+                "numbers (world.dt, world.position, world.velocity, world.acceleration)"
+            )
+        mark = MARKED if scenario.log or _beyond(scenario, log) else ""
+        for i, path in enumerate(places):
+            write_log(path, _one(log, i), mark)
     if args.json:
         print_json(
             {
@@ -105,7 +113,7 @@ def _check_memory(scenario: Scenario, trajectories: int) -> None:
         raise InputError(
             f"--trajectories {trajectories}: {scenario.world.steps} rows each need about "
             f"{needed / 1e9:.3g} GB of memory, found {free / 1e9:.3g} GB free: expected fewer or "
-            "shorter trajectories, simulated in parts with seeds of their own"
+            "shorter trajectories"
         )
 
 

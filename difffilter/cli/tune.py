@@ -163,6 +163,12 @@ def _entries(checkpoint: Checkpoint) -> list[tuple[str, float, float, str]]:
     return found
 
 
+def _shown_units(checkpoint: Checkpoint) -> dict[str, tuple[str, float]]:
+    """Unit that each number was given in, and its factor to SI."""
+    declared = checkpoint.published_filter.declarations.values()
+    return {entry: parameter.shown for parameter in declared for entry in parameter.entries()}
+
+
 def _data(result: TuneResult, out: str, seed: int) -> dict[str, Any]:
     checkpoint = result.checkpoint
     errors = checkpoint.training.get("standard_errors", {})
@@ -185,14 +191,14 @@ def _data(result: TuneResult, out: str, seed: int) -> dict[str, Any]:
     }
 
 
-def _error(entry: str, training: Mapping[str, Any]) -> str:
+def _error(entry: str, training: Mapping[str, Any], factor: float) -> str:
     """A standard error; "free" where the data do not determine the value."""
     errors: Mapping[str, float | None] = training.get("standard_errors", {})
     if entry not in errors:
         return ""
     value = errors[entry]
     if value is not None:
-        return number(value)
+        return number(value / factor)
     told = [line for line in training.get("undetermined", ()) if "the data" in line]
     return "free" if any(entry in line for line in told) else "unknown"
 
@@ -212,10 +218,14 @@ def _ended(training: Mapping[str, Any]) -> list[str]:
 
 def _text(result: TuneResult, out: str) -> str:
     checkpoint = result.checkpoint
+    shown = _shown_units(checkpoint)
     rows = (
-        [entry, number(old), "->", number(new), _error(entry, checkpoint.training), unit]
-        for entry, old, new, unit in _entries(checkpoint)
-    )
+        [
+            entry, number(old / shown[entry][1]), "->", number(new / shown[entry][1]),
+            _error(entry, checkpoint.training, shown[entry][1]), shown[entry][0],
+        ]
+        for entry, old, new, _ in _entries(checkpoint)
+    )  # fmt: skip
     title = f"{checkpoint.scenario.name}, {checkpoint.system}"
     head = ["parameter", "before", "", "after", "standard error", "unit"]
     lines = [f"{title}: tuned values", table(head, rows)]

@@ -17,9 +17,16 @@ __all__ = ["HELP", "own_checkpoint", "read_values", "unfit"]
 HELP = "published, tuned (the package's own) or a checkpoint file"
 
 
-def own_checkpoint(scenario: Case) -> Path:
-    """Where the package keeps its tuned values of a scenario, if it has any."""
-    return data_folder("checkpoints") / f"{scenario.name}.json"
+def own_checkpoint(scenario: Case, inherited: bool = False) -> Path:
+    """Where the package keeps tuned values of a scenario; ``inherited``: or of what it extends."""
+    from difffilter.scenario.document import ancestors
+    from difffilter.scenario.scenario import Scenario
+
+    names = [scenario.name]
+    if inherited and isinstance(scenario, Scenario):
+        names += ancestors(scenario.path)
+    places = [data_folder("checkpoints") / f"{name}.json" for name in names]
+    return next((place for place in places if place.is_file()), places[0])
 
 
 def read_values(label: str, scenario: Case) -> Checkpoint | None:
@@ -29,7 +36,7 @@ def read_values(label: str, scenario: Case) -> Checkpoint | None:
     if label == "published":
         return None
     if label == "tuned":
-        path = own_checkpoint(scenario)
+        path = own_checkpoint(scenario, inherited=True)
         if not path.is_file():
             raise InputError(
                 f"--values tuned: found none for {scenario.name} in the package, "

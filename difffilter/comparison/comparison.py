@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -78,10 +78,9 @@ def compare(
     )
     if held_out.truth is None:
         raise InputError("compare: needs truth columns in the logs, found none")
-    bar = tqdm(chosen, desc="compare", unit="system", delay=2.0, disable=not progress)
     return tabulate(
         scenario.name,
-        run_all(bar, held_out, partial(started, scenario), engine),
+        run_all(chosen, held_out, partial(started, scenario), engine, progress),
         held_out,
         wanted=(scenario.tuning.system, "published"),
         seed=seed if log is None else None,
@@ -91,17 +90,40 @@ def compare(
 
 
 def run_all(
-    who: Iterable[Contestant], log: Log, starter: Starter, engine: str
+    who: Sequence[Contestant], log: Log, starter: Starter, engine: str, progress: bool = False
 ) -> dict[tuple[str, str], Track]:
-    """Everybody's track of one log, by system and values."""
+    """Everybody's track of one log, by system and values.
+
+    Raises:
+        InputError: names those that cannot start, and who remains without them.
+    """
     tracks = {}
+    starts: list[Log] = []
+    unable: dict[str, InputError] = {}
     for one in who:
-        ready = starter(one.recipe, log, one.frozen)
+        try:
+            starts.append(starter(one.recipe, log, one.frozen))
+        except InputError as error:
+            unable.setdefault(one.system, error)
+    if unable:
+        raise _cannot_start(who, unable)
+    bar = tqdm(who, desc="compare", unit="system", delay=2.0, disable=not progress)
+    for one, ready in zip(bar, starts, strict=True):
         with torch.no_grad():
             tracks[one.system, one.values] = estimate(
                 one.recipe, ready, one.frozen, temperature=one.temperature, engine=engine
             )
     return tracks
+
+
+def _cannot_start(who: Sequence[Contestant], unable: Mapping[str, InputError]) -> InputError:
+    """One error for all that cannot start: who, why the first of them, and who remains."""
+    name, reason = next(iter(unable.items()))
+    rest = dict.fromkeys(one.system for one in who if one.system not in unable)
+    also = f" (nor can {', '.join(list(unable)[1:])})" if len(unable) > 1 else ""
+    how = " ".join(f"--system {other}" for other in rest)
+    advice = f"; the others compare with {how}" if rest else ""
+    return InputError(f"system {name} cannot start{also}: {reason}{advice}")
 
 
 def contestants(

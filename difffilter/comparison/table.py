@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, digits
 from difffilter.escape import markdown_table
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
@@ -122,13 +122,13 @@ class Comparison:
             cells = [
                 row.system,
                 row.values,
-                f"{row.rmse:.3f}{note}",
-                f"{row.ci95[0]:.3f} to {row.ci95[1]:.3f}",
-                f"{row.median:.3f}",
-                f"{row.ratio:.3f} ({low:.3f} to {high:.3f})",
+                f"{digits(row.rmse)}{note}",
+                f"{digits(row.ci95[0])} to {digits(row.ci95[1])}",
+                digits(row.median),
+                f"{digits(row.ratio)} ({digits(low)} to {digits(high)})",
                 f"{row.nees_per_state:.2f}",
                 nis,
-                *(f"{row.per_scene[name]:.3f}" for name in scenes),
+                *(digits(row.per_scene[name]) for name in scenes),
             ]
             rows.append(cells)
         return head, rows
@@ -157,7 +157,7 @@ def tabulate(
     rows = torch.stack([scored_rows(log, t, score) for t in tracks.values()])
     common = rows.all(0)
     if not bool(common.any()):
-        raise InputError("compare: found no row that every system has an estimate for")
+        raise InputError(f"compare: {_why_none(log, tracks, rows, score)}")
     squared = {key: position_error(log, track) for key, track in tracks.items()}
     reference = wanted if wanted in tracks else next(iter(tracks))
     scorable = scored_rows(log, tracks[reference], score).sum()
@@ -188,6 +188,26 @@ def tabulate(
         )
     label = f"{reference[0]} {reference[1]}"
     return Comparison(name, log.trajectories, seed, label, tuple(made))
+
+
+def _why_none(
+    log: Log, tracks: Mapping[tuple[str, str], Track], rows: Tensor, score: Score | str
+) -> str:
+    """Why no row counts: times beside the log's, a system without estimates, or no truth."""
+    chosen = Score(score) if isinstance(score, str) else score
+    first, last = float(log.time.min()), float(log.time.max())
+    if last < chosen.first or first > chosen.last:
+        return (
+            f"score_times: found {chosen.first:.10g} to {chosen.last:.10g} s, the log has "
+            f"{first:.10g} to {last:.10g} s: expected times of the log"
+        )
+    idle = [key for key, some in zip(tracks, rows.flatten(1).any(1), strict=True) if not some]
+    if idle and len(idle) < len(tracks):
+        named = ", ".join(" ".join(key) for key in idle)
+        rest = dict.fromkeys(system for system, _ in tracks if system not in dict(idle))
+        advice = f"; without it: {' '.join(f'--system {name}' for name in rest)}" if rest else ""
+        return f"found no row with truth that {named} has an estimate for{advice}"
+    return "found no row that every system has an estimate for"
 
 
 def _root_mean(squared: Tensor, rows: Tensor) -> float:

@@ -33,6 +33,8 @@ class Parameter:
             the published value (for a positive parameter 0.1 is about 10 %); None for none.
         labels: name of each entry of a vector, for tables and plots.
         meaning: one line for the reader.
+        given: unit that the published value was given in, and its factor to ``unit``: tables
+            for people show that; None for ``unit`` itself.
         noise: whether it scales Q or R: what a likelihood or a sample covariance can estimate.
     """
 
@@ -46,6 +48,12 @@ class Parameter:
     labels: tuple[str, ...] = ()
     meaning: str = ""
     noise: bool = False
+    given: tuple[str, float] | None = field(default=None, compare=False)
+
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Unit for tables, and its factor to ``unit``."""
+        return self.given or (self.unit, 1.0)
 
     def tensor(self, dtype: torch.dtype = torch.float64) -> Tensor:
         """Published value as a tensor."""

@@ -13,6 +13,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from difffilter.comparison.comparison import Comparison
+from difffilter.errors import digits
 from difffilter.escape import html, markdown, markdown_table, prose
 from difffilter.files import json_text, write_atomically
 from difffilter.provenance import git_commit, library_versions
@@ -153,7 +154,7 @@ def _cell(value: Any) -> str:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""
     if isinstance(value, float):
-        return f"{value:.3f}" if abs(value) < 1000 else f"{value:.4g}"
+        return digits(value)
     if isinstance(value, (list, tuple)):
         return " to ".join(_cell(item) for item in value)
     return str(value)

@@ -15,6 +15,7 @@ from difffilter.files import data_folder
 
 __all__ = [
     "SCHEMA",
+    "ancestors",
     "apply_overrides",
     "check_texts",
     "parse_override",
@@ -84,6 +85,19 @@ def read_document(name: str | Path) -> tuple[dict[str, Any], Path]:
     for layer in reversed(layers):
         merged = _merge(merged, layer)
     return merged, path
+
+
+def ancestors(path: Path) -> list[str]:
+    """Names of the scenarios that a file extends, the nearest first; none of no file."""
+    found: list[str] = []
+    while path.is_file() and len(found) < DEPTH:
+        layer = _parse(path)
+        if found or "extends" in layer:
+            found.append(str(layer.get("name", path.stem)))
+        if "extends" not in layer:
+            break
+        path = _parent(path, str(layer["extends"]))
+    return found[1:]
 
 
 def _parent(child: Path, name: str) -> Path:

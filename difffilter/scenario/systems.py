@@ -32,6 +32,7 @@ class ParameterSpec:
     source: str
     tuned: bool
     prior: float | None
+    given: tuple[str, float] | None = None
 
     def declare(self, own: Parameter) -> Parameter:
         """The component's declaration with this published value."""
@@ -43,6 +44,7 @@ class ParameterSpec:
             source=self.source or own.source,
             tuned=self.tuned,
             prior=self.prior,
+            given=self.given,
         )
         try:
             own.check(declared.tensor())  # own: the shape as well
@@ -187,9 +189,10 @@ def read_parameters(table: Table) -> dict[str, ParameterSpec]:
     for component, group in table.children():
         for field, entry in group.children():
             unit = entry.text("unit", "")
-            value = entry.nested("value")
+            value, given = entry.nested("value"), None
             for base, factors in MEASURES.items():
                 if unit in factors:
+                    given = (unit, factors[unit]) if factors[unit] != 1.0 else None
                     value, unit = _scaled(value, factors[unit]), base
                     break
             specs[f"{component}.{field}"] = ParameterSpec(
@@ -199,6 +202,7 @@ def read_parameters(table: Table) -> dict[str, ParameterSpec]:
                 source=entry.text("source", ""),
                 tuned=entry.flag("tuned"),
                 prior=entry.number("prior", None, above=0.0),
+                given=given,
             )
             entry.finish()
     return specs

@@ -21,7 +21,7 @@ from difffilter.tuning.data import shuffled
 from difffilter.tuning.diagnose import gradient_error
 from difffilter.tuning.history import Best, Course, Entry, Spent
 from difffilter.tuning.optimisers import Optimiser, optimiser_for
-from difffilter.tuning.state import load_state, read_state, save_state
+from difffilter.tuning.state import load_state, read_state, save_state, sound
 from difffilter.tuning.task import Task
 
 __all__ = ["Descent", "descend"]
@@ -51,10 +51,12 @@ def descend(
         content = read_state(state_file) if task.ranks.first else None
         state = load_state(state_file, task.fingerprint, task.ranks.told(content))
     settings, course = task.settings, Course(Best())
-    if state is not None:
-        course = Course.restored(state["course"])
-    first = state["start"] if state else 0
-    done = first * settings.steps + (state["step"] if state else 0)
+    first = done = 0
+    if state is not None and state_file is not None:
+        with sound(state_file):
+            course = Course.restored(state["course"])
+            first = int(state["start"])
+            done = first * settings.steps + int(state["step"])
     with tqdm(
         total=settings.starts * settings.steps, initial=done, desc="tune",
         unit="step", delay=2.0, disable=not progress,
@@ -95,7 +97,10 @@ class Descent:
     def run(self, resumed: Mapping[str, Any] | None = None) -> Course:
         """Steps until an end; what was found by then."""
         settings = self.task.settings
-        at = 0 if resumed is None else self._restore(resumed)
+        at = 0
+        if resumed is not None and self.state_file is not None:
+            with sound(self.state_file):
+                at = self._restore(resumed)
         for step in range(at, settings.steps + 1):
             end = self._end(step)
             due = step % self.optimiser.every == 0 or end

@@ -14,10 +14,10 @@ from typing import Any
 
 import torch
 
-from difffilter.errors import CheckpointError, InputError
+from difffilter.errors import CheckpointError, DifffilterError, InputError
 from difffilter.files import write_atomically
 
-__all__ = ["load_state", "only_run", "read_state", "save_state", "state_path"]
+__all__ = ["load_state", "only_run", "read_state", "save_state", "sound", "state_path"]
 
 #: First bytes of a state file; the SHA-256 of all that follows it comes next.
 MAGIC = b"difffilter tuning state 2\n"
@@ -92,6 +92,19 @@ def read_state(path: Path) -> bytes:
         ) from None
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+@contextmanager
+def sound(path: Path) -> Iterator[None]:
+    """CheckpointError where what a state holds is not what a run of this version saves."""
+    try:
+        yield
+    except DifffilterError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise CheckpointError(
+            f"{path}: damaged, or not a tuning state of this version ({type(error).__name__})"
+        ) from None
 
 
 def load_state(path: Path, fingerprint: str, data: bytes | None = None) -> dict[str, Any]:

@@ -37,13 +37,12 @@ class Case:
 def write_changes(report: Report, case: Case, found: Sequence[Change]) -> None:
     """Every tuned value before and after, and each reverted alone."""
     report.heading("What changed, and what each change is worth", 3)
-    rows = [
-        [entry, before, after, error, sigmas, change.unit]
-        for change in found
-        for (entry, before, after, error), sigmas in zip(
-            change.entries, change.sigmas(), strict=True
-        )
-    ]
+    rows = []
+    for change in found:
+        unit, factor = change.given or (change.unit, 1.0)
+        for (entry, *numbers), sigmas in zip(change.entries, change.sigmas(), strict=True):
+            given = [None if x is None else x / factor for x in numbers]
+            rows.append([entry, *given, sigmas, unit])
     head = ["value", "published", "tuned", "standard error", "change in standard errors", "unit"]
     report.table(f"{case.slug} values", head, rows)
     report.text(

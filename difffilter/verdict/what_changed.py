@@ -23,6 +23,7 @@ class Change:
         ratio: held-out RMSE with the parameter reverted, divided by that of the tuned filter,
             with its paired 95 % interval: above 1 the change is worth something.
         nees_per_state: of the filter with the parameter reverted; 1 expected.
+        given: unit that the published value was given in, and its factor to ``unit``.
         keep: whether the published value costs nothing: the interval reaches down to 1, and
             consistency does not leave [0.5, 2] where it was inside.
     """
@@ -33,6 +34,7 @@ class Change:
     ratio: tuple[float, float, float]
     nees_per_state: float
     keep: bool
+    given: tuple[str, float] | None = None
 
     def sigmas(self) -> list[float | None]:
         """(tuned - published) / standard error of each number; None where there is none."""
@@ -70,7 +72,8 @@ def changes(checkpoint: Checkpoint, log: Log, *, engine: str = "auto") -> list[C
         entries = tuple((n, float(b), float(a), errors.get(n)) for n, b, a in each)
         free = ratio[1] <= 1.0 and ratio[0] < 1.01
         keep = free and (honest(reverted.nees) or not honest(tuned.nees))
-        found.append(Change(name, parameter.unit, entries, ratio, reverted.nees, keep))
+        change = Change(name, parameter.unit, entries, ratio, reverted.nees, keep, parameter.given)
+        found.append(change)
     return found
 
 
