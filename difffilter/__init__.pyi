@@ -101,6 +101,8 @@ from difffilter.scenario.document import scenario_names as scenario_names
 from difffilter.scenario.estimation import estimate as estimate
 from difffilter.scenario.estimation import started as started
 from difffilter.scenario.families import family as family
+from difffilter.scenario.inspection import Inspection as Inspection
+from difffilter.scenario.inspection import inspect_log as inspect_log
 from difffilter.scenario.model import Model as Model
 from difffilter.scenario.own import load_models as load_models
 from difffilter.scenario.recorded import load_logs as load_logs

@@ -124,6 +124,7 @@ def _parser() -> Parser:
         compare,
         export,
         import_,
+        inspect_,
         report,
         run,
         scenarios,
@@ -140,6 +141,18 @@ def _parser() -> Parser:
     )
     parser.add_argument("--version", action=Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for module in (scenarios, show, simulate, import_, tune, compare, run, report, bench, export):
+    for module in (
+        scenarios,
+        show,
+        simulate,
+        import_,
+        inspect_,
+        tune,
+        compare,
+        run,
+        report,
+        bench,
+        export,
+    ):
         module.add(commands)
     return parser

@@ -136,7 +136,7 @@ def _lines(key: str, value: Any) -> Iterator[str]:
     """One line per value: its dotted key and the value as TOML has it."""
     if isinstance(value, Mapping) and value:
         for name, item in value.items():
-            yield from _lines(f"{key}.{name}", item)
+            yield from _lines(f'{key}."{name}"' if "." in name else f"{key}.{name}", item)
     elif isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
         for i, item in enumerate(value):
             yield from _lines(f"{key}.{i}", item)

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from difffilter.errors import InputError
+import numpy as np
+import torch
+
+from difffilter.errors import InputError, LogError
 from difffilter.files import write_atomically
 from difffilter.logs.layout import Bound, Layout
 from difffilter.logs.log import Log
 from difffilter.logs.reading import read_table_as_log
-from difffilter.logs.tables import MARK, read_table, table_of
+from difffilter.logs.sheets import read_sheet
+from difffilter.logs.tables import MARK, Column, read_table, table_of
 
 __all__ = ["read_log", "write_log"]
 
@@ -68,6 +73,35 @@ def read_log(
     else:
         table, name = table_of(source), "frame"
     return read_table_as_log(table, form, channels, inputs, limits, name=name).log
+
+
+def read_any(path: str | Path) -> Log:
+    """A log whose channels nobody has named: every column of numbers but time and truth.
+
+    Raises:
+        LogError: as for :func:`read_log`; no column of numbers.
+    """
+    table = read_table(Path(path))
+    names = [n for n in table.names if n != "time" and not n.startswith("truth_")]
+    channels = [n for n in names if _is_numbers(table.columns[n])]
+    if not channels:
+        raise LogError(f"{path}, line 1: found no column of numbers, expected one beside time")
+    left_out = tuple(n for n in names if n not in channels)
+    form = Layout(ignore=left_out)
+    sheet = read_sheet(replace(table, plain=False), form, channels, channels)
+    z = torch.from_numpy(np.stack([sheet.columns[n] for n in channels], axis=-1))
+    time = torch.from_numpy(np.ascontiguousarray(sheet.time))
+    return Log(tuple(channels), time, z, names=(Path(path).stem,))
+
+
+def _is_numbers(column: Column) -> bool:
+    """Whether the first fields that say anything are numbers."""
+    if not isinstance(column, list):
+        return True
+    try:
+        return bool([float(text) for text in column[:50] if text])
+    except ValueError:
+        return False
 
 
 def write_log(path: str | Path, log: Log, mark: str = "") -> None:

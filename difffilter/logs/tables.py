@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from difffilter.errors import LogError
 
-__all__ = ["MARK", "Table", "read_table", "table_of"]
+__all__ = ["MARK", "Column", "Table", "read_table", "table_of"]
 
 #: First words of a file that this library wrote for itself.
 MARK = "# difffilter log"

@@ -27,6 +27,8 @@ __all__ = [
 SCHEMA = 1
 #: Levels of tables and lists at most.
 DEPTH = 32
+#: The keys of a dotted path; one in quotes may have dots itself.
+KEYS = re.compile(r'"[^"]*"|[^.]+')
 #: Control characters but tabs and line ends, and halves of surrogate pairs.
 CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff]")
 
@@ -180,7 +182,7 @@ def apply_overrides(document: dict[str, Any], overrides: Mapping[str, Any]) -> d
     result = copy.deepcopy(document)
     for path, value in overrides.items():
         table: Any = result
-        keys = path.split(".")
+        keys = [key.strip('"') for key in KEYS.findall(path)] or [path]
         for i, key in enumerate(keys[:-1]):
             table = _enter(table, key, ".".join(keys[: i + 1]))
         if isinstance(table, list):

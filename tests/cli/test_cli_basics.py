@@ -53,7 +53,7 @@ def test_show_prints_world_and_published_values(capsys: Any) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert "  world.steps = 7" in lines
     (sigma,) = [line for line in lines if line.startswith("  tdoa.sigma")]
-    assert sigma.split() == ["tdoa.sigma", "2.99792", "m", "yes", "paper", "3"]
+    assert sigma.split() == ["tdoa.sigma", "10", "ns", "yes", "paper", "3"]
 
 
 @pytest.mark.parametrize("name", difffilter.scenario_names())

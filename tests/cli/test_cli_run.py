@@ -94,12 +94,13 @@ def test_wild_value_is_rejected(place: Path, capsys: Any) -> None:
     assert result["rejected"]["tdoa_6"] >= 0.05 - 1e-6
 
 
-def test_time_beyond_precision_is_one_line(place: Path, capsys: Any) -> None:
-    """A jump of ages in time: some covariance cannot be factored any more."""
+def test_a_jump_of_ages_in_time_is_borne(place: Path, capsys: Any) -> None:
+    """No covariance is factored on the way: the estimates follow what is measured."""
     for row in range(10, 21):
         edit("time", row, str(1e7 + row))
-    fails(capsys, "run", "frozen.json", "log.csv", "--out", "never.csv")
-    assert not Path("never.csv").exists()
+    run(capsys, "frozen.json", "log.csv")
+    found = read_columns(Path("out.csv"))
+    assert all(value is not None for name in ("x", "y", "x_std") for value in found[name])
 
 
 def test_overrides_of_a_checkpoint(place: Path, capsys: Any) -> None:

@@ -43,9 +43,9 @@ def test_tune_prints_values_and_held_out_result(place: Path) -> None:
     text = (place / "tune.txt").read_text()
     checkpoint = difffilter.load(place / "mine.json")
     assert checkpoint.training["seed"] == 3
-    tuned = float(checkpoint.values["tdoa.sigma"])
+    tuned = float(checkpoint.values["tdoa.sigma"]) / 0.299792458
     line = next(line for line in text.splitlines() if "tdoa.sigma" in line)
-    assert line.split() == ["tdoa.sigma", "2.99792", "->", f"{tuned:.6g}", "m"]
+    assert line.split() == ["tdoa.sigma", "10", "->", f"{tuned:.6g}", "ns"]
     assert "| m-ekf | tuned |" in text
     assert text.rstrip().endswith("checkpoint written to mine.json")
     assert list((place / "board").rglob("events*"))
