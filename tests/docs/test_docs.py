@@ -337,6 +337,10 @@ def heading(path: str) -> str:
     parts = re.sub(r"\[\d+\]", "", path).split(".")
     if parts[0] in NAMED and len(parts) > 1:
         parts[1] = NAMED[parts[0]]
+    if parts[-1] == "motion":
+        return "[motion]"
+    if parts[0] == "systems" and parts[2:3] == ["modes"] and len(parts) > 3:
+        parts[3] = "MODE"
     if parts[:2] == ["log", "files"] and len(parts) == 3:
         parts[2] = "NAME"
     if parts[0] == "parameters" and len(parts) == 3:
