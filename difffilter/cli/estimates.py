@@ -3,37 +3,112 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, BinaryIO
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from difffilter.files import write_atomically
 from difffilter.logs.log import Log
-from difffilter.logs.times import Clock
+from difffilter.logs.times import FORMATS, Clock
 from difffilter.logs.track import Track
-from difffilter.scoring.metrics import Score, isolated, rejected, rmse
+from difffilter.logs.writing import Columns, parts_for
+from difffilter.scoring.metrics import Score, position_error, scored_rows
 
-__all__ = ["columns", "summary", "write_estimates"]
+__all__ = ["Tally", "columns", "write_estimates"]
 
-
-def write_estimates(path: str, log: Log, track: Track, clock: Clock) -> None:
-    """Write the columns as CSV, times as the log has them; empty where there is no number."""
-    table = columns(log, track)
-    seconds = table.pop("time")
-    lines = [",".join(("time", *table))]
-    for time, *row in zip(clock.write(np.array(seconds)), *table.values(), strict=True):
-        fields = (repr(value) if math.isfinite(value) else "" for value in row)
-        lines.append(",".join((time, *fields)))
-    write_atomically(path, "\n".join(lines) + "\n")
+#: A measurement with a weight below it counts as rejected.
+REJECTED = 0.1
 
 
-def columns(log: Log, track: Track) -> dict[str, list[float]]:
+class Tally:
+    """What is told of a run, window by window.
+
+    Args:
+        log: the whole log, with the channels of all systems; score: which rows count.
+    """
+
+    def __init__(self, log: Log, score: Score | str) -> None:
+        self.log, self.score = log, score
+        self.rows = self.scored = 0
+        self.squared = 0.0
+        self.low: dict[str, int] = {}
+        self.present: dict[str, int] = {}
+        self.isolated: dict[str, int] = {}
+
+    def add(self, track: Track) -> None:
+        """Count the next window: a trajectory in a batch of its own."""
+        log = self.log.rows(self.rows, self.rows + len(track.mean))
+        self.rows += log.steps
+        positions = {name for name in track.states if not name.startswith("v")}
+        if log.truth is not None and positions <= set(log.truth_states):
+            rows = scored_rows(log, track, self.score)
+            self.scored += int(rows.sum())
+            self.squared += float(position_error(log, track)[rows].sum())
+        for i, name in enumerate(track.channels):
+            self.low.setdefault(name, 0)
+            self.present.setdefault(name, 0)
+            if track.record is not None:
+                present = track.record.present[..., i]
+                low = (track.record.weight[..., i] < REJECTED) & present
+                self.low[name] += int(low.sum())
+                self.present[name] += int(present.sum())
+                left_out = int(track.record.isolated[..., i].sum())
+                self.isolated[name] = self.isolated.get(name, 0) + left_out
+
+    def summary(self) -> dict[str, Any]:
+        """Number of rows, position RMSE (None without its truth), share rejected per channel."""
+        error = math.sqrt(self.squared / self.scored) if self.scored else math.nan
+        left_out = {n: count / self.rows for n, count in self.isolated.items() if count}
+        return {
+            "rows": self.rows,
+            "rmse": error if math.isfinite(error) else None,
+            "rejected": {n: count / max(self.present[n], 1) for n, count in self.low.items()},
+            **({"isolated": left_out} if left_out else {}),
+        }
+
+
+def write_estimates(
+    path: str,
+    windows: Iterable[tuple[Log, Track]],
+    clock: Clock,
+    tally: Tally,
+    covariance: bool = False,
+) -> None:
+    """Write the columns, times as the log has them; empty where there is no number.
+
+    Args:
+        path: ``.parquet`` for Parquet (needs pyarrow), else CSV.
+        windows: parts of a log and their estimates, in order: never all of them in memory.
+        tally: counts them.
+        covariance: whether to write covariances as well.
+    """
+
+    def content(file: BinaryIO) -> None:
+        writer = parts_for(path, file)
+        for log, track in windows:
+            tally.add(track)
+            writer.write(_dated(columns(log, track, covariance), clock))
+        writer.close()
+
+    write_atomically(path, content)
+
+
+def _dated(table: dict[str, Tensor], clock: Clock) -> Columns:
+    seconds = table["time"].numpy()
+    if FORMATS[clock.format] == (1.0, False):
+        return {name: column.numpy() for name, column in table.items()}
+    rest = {name: column.numpy() for name, column in table.items() if name != "time"}
+    return {"time": clock.write(seconds), **rest}
+
+
+def columns(log: Log, track: Track, covariance: bool = False) -> dict[str, Tensor]:
     """Time, mean, standard deviations, weight per channel (0 where missing), nominal NIS.
 
     Args:
         log: one trajectory, in a batch of its own; track: of that log.
+        covariance: also ``cov_A_B`` of every two different states, SI units.
     """
     time = log.time[:, 0] if log.time.dim() > 1 else log.time
     found: dict[str, Tensor] = {"time": time}
@@ -46,7 +121,12 @@ def columns(log: Log, track: Track) -> dict[str, list[float]]:
         found[f"{channel}_weight"] = weight[:, 0, i]
     none = torch.full_like(time, math.nan)
     found["nis"] = none if track.record is None else track.record.nis[:, 0]
-    return {name: column.tolist() for name, column in found.items()}
+    if covariance:
+        full = track.covariance
+        for i, a in enumerate(track.states):
+            for j, b in enumerate(track.states[:i]):
+                found[f"cov_{b}_{a}"] = full[:, 0, i, j]
+    return found
 
 
 def _weights(log: Log, track: Track) -> Tensor:
@@ -54,16 +134,3 @@ def _weights(log: Log, track: Track) -> Tensor:
     if track.record is None:
         return log.present.to(log.z.dtype)
     return torch.where(track.record.present, track.record.weight, 0.0)
-
-
-def summary(log: Log, track: Track, score: Score | str) -> dict[str, Any]:
-    """Number of rows, position RMSE (None without its truth), share rejected per channel."""
-    positions = {name for name in track.states if not name.startswith("v")}
-    known = log.truth is not None and positions <= set(log.truth_states)
-    error = float(rmse(log, track, score)) if known else math.nan
-    return {
-        "rows": log.steps,
-        "rmse": error if math.isfinite(error) else None,
-        "rejected": dict.fromkeys(track.channels, 0.0) | rejected(track),
-        **({"isolated": left_out} if (left_out := isolated(track)) else {}),
-    }

@@ -21,6 +21,8 @@ from difffilter.cli.values import HELP, read_values, unfit
 from difffilter.errors import InputError, shown
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from difffilter.logs.log import Log
     from difffilter.logs.track import Track
     from difffilter.scenario.case import Case
@@ -58,7 +60,14 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--system", metavar="NAME", help="default: the one that is tuned")
     parser.add_argument("--run", metavar="NAME", help="which [runs] entry (the log's own name)")
-    parser.add_argument("--out", metavar="FILE", required=True, help="CSV of estimates to write")
+    parser.add_argument(
+        "--out", metavar="FILE", required=True, help="estimates to write: .csv, or .parquet"
+    )
+    parser.add_argument(
+        "--covariance",
+        action="store_true",
+        help="write covariances too: cov_A_B of every two states",
+    )
     parser.add_argument("--plot", metavar="FILE", help="figure to write, PNG and SVG")
     parser.add_set()
     parser.add_models()
@@ -87,9 +96,11 @@ def command(args: Namespace) -> int:
     chosen = _job(args)
     job = _of_run(chosen, args)
 
-    from difffilter.cli.estimates import summary, write_estimates
+    from difffilter.cli.estimates import Tally, write_estimates
+    from difffilter.filters.recipe import Recipe
     from difffilter.logs.log import stack_logs
     from difffilter.logs.times import Clock
+    from difffilter.running.windows import run_windows
     from difffilter.scenario.estimation import estimate, started
     from difffilter.scenario.recorded import read_run
     from difffilter.scenario.scenario import Scenario
@@ -107,15 +118,20 @@ def command(args: Namespace) -> int:
     temperature = job.values.temperature if job.values else None
     ready = started(job.scenario, system, log, frozen)
     progress = shows_progress(args)
-    track = estimate(
-        system, ready, frozen, temperature=temperature, progress=progress, engine=args.engine
-    )
+    settings = {"temperature": temperature, "progress": progress, "engine": args.engine}
+    windows: Iterable[tuple[Log, Track]]
+    if isinstance(system, Recipe) and not args.plot:
+        windows = run_windows(system, ready, frozen, **settings)
+    else:
+        track = estimate(system, ready, frozen, **settings)
+        windows = [(ready, track)]
     if isinstance(chosen.scenario, Scenario):
         note_missing_run(chosen.scenario, _run_name(args))
-    result = summary(log, track, job.scenario.score)
+    tally = Tally(log, job.scenario.score)
+    write_estimates(args.out, windows, clock, tally, args.covariance)
+    result = tally.summary()
     if args.plot:
         _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, values {job.label}")
-    write_estimates(args.out, log, track, clock)
     about = {"scenario": job.scenario.name, "system": job.system, "values": job.label}
     if args.json:
         print_json({**result, **about, "out": args.out})

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import torch
@@ -18,8 +17,9 @@ from difffilter.logs.log import Log
 from difffilter.logs.reading import read_table_as_log
 from difffilter.logs.sheets import read_sheet
 from difffilter.logs.tables import MARK, Column, read_table, table_of
+from difffilter.logs.writing import MANY, CsvParts
 
-__all__ = ["read_log", "write_log"]
+__all__ = ["read_any", "read_log", "write_log"]
 
 
 def read_log(
@@ -118,17 +118,21 @@ def write_log(path: str | Path, log: Log, mark: str = "") -> None:
         raise InputError(
             f"{path}: found a log of shape {list(log.z.shape)}, expected one trajectory"
         )
-    columns: dict[str, list[float]] = {"time": log.time.tolist()}
+    columns = {"time": log.time.numpy()}
     for i, name in enumerate(log.channels):
-        columns[name] = log.z[:, i].tolist()
+        columns[name] = log.z[:, i].numpy()
     for name, value in log.inputs.items():
         if value.dim() == 1 and "." not in name:  # with a dot: of a sensor, or of a simulation
-            columns[name] = value.tolist()
+            columns[name] = value.numpy()
     if log.truth is not None:
         for i, name in enumerate(log.truth_states):
-            columns[f"truth_{name}"] = log.truth[:, i].tolist()
-    lines = [f"{MARK} {mark}"] if mark else []
-    lines.append(",".join(columns))
-    for row in zip(*columns.values(), strict=True):
-        lines.append(",".join("" if math.isnan(value) else repr(value) for value in row))
-    write_atomically(path, "\n".join(lines) + "\n")
+            columns[f"truth_{name}"] = log.truth[:, i].numpy()
+
+    def content(file: BinaryIO) -> None:
+        if mark:
+            file.write(f"{MARK} {mark}\n".encode())
+        parts = CsvParts(file)
+        for first in range(0, max(log.steps, 1), MANY):
+            parts.write({n: column[first : first + MANY] for n, column in columns.items()})
+
+    write_atomically(path, content)

@@ -19,6 +19,8 @@ __all__ = ["MARK", "Column", "Table", "read_table", "table_of"]
 MARK = "# difffilter log"
 #: Characters that are read at once: lines are cut nowhere else.
 PART = 1 << 24
+#: Bytes from which on pyarrow reads a file, where it is installed.
+LARGE = 1 << 24
 
 Column = NDArray[Any] | list[str]
 
@@ -51,6 +53,9 @@ def read_table(path: Path, separator: str = ",", decimal: str = ".") -> Table:
     """
     if path.suffix.lower() in FRAMES:
         return _from_library(path)
+    large = _large(path, separator, decimal)
+    if large is not None:
+        return large
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -71,6 +76,54 @@ def read_table(path: Path, separator: str = ",", decimal: str = ".") -> Table:
             columns: dict[str, Column] = dict(zip(header, numbers.T, strict=True))
             return Table(str(path), columns, lines, plain)
     return _by_rows(path, text, (separator, decimal), plain)
+
+
+def _large(path: Path, separator: str, decimal: str) -> Table | None:
+    """A large table of numbers by pyarrow, where it is installed; None for all other files.
+
+    What it refuses is read by rows, which says why: texts, quotes, blank lines, infinity.
+    """
+    try:
+        if path.stat().st_size < LARGE:
+            return None
+        import pyarrow as arrow
+        from pyarrow import csv as arrow_csv
+
+        with path.open("rb") as file:
+            head = file.readline(1 << 20)
+            plain = head.decode("utf-8-sig").startswith(MARK)
+            head = file.readline(1 << 20) if plain else head
+    except (ImportError, OSError, UnicodeDecodeError):
+        return None
+    separator, decimal = (",", ".") if plain else (separator, decimal)
+    line = head.decode("utf-8-sig").rstrip("\r\n")
+    if line.count('"') % 2 or not line:
+        return None
+    names = _header(path, next(csv.reader([line], delimiter=separator)), 1 + plain)
+    if "" in names:
+        return None
+    try:
+        found = arrow_csv.read_csv(
+            str(path),
+            arrow_csv.ReadOptions(skip_rows=1 + plain, column_names=names, block_size=PART),
+            arrow_csv.ParseOptions(delimiter=separator, quote_char=False, ignore_empty_lines=False),
+            arrow_csv.ConvertOptions(
+                column_types=dict.fromkeys(names, arrow.float64()),
+                null_values=["", "nan", "NaN"],
+                decimal_point=decimal,
+            ),
+        )
+    except (arrow.ArrowInvalid, arrow.ArrowKeyError):
+        return None
+    columns: dict[str, Column] = {}
+    for name in names:
+        column = found.column(name).to_numpy()
+        if np.isinf(column).any():
+            return None
+        columns[name] = column
+    if np.isnan(np.stack([columns[name] for name in names])).all(0).any():
+        return None  # a blank line: lines and rows differ
+    return Table(str(path), columns, np.arange(found.num_rows) + 2 + plain, plain)
 
 
 def _header(path: Path, names: list[str], line: int) -> list[str]:

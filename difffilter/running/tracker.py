@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import torch
 from torch import Tensor
@@ -18,6 +18,8 @@ from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import check_finite, eager
+from difffilter.running.history import After, History
+from difffilter.running.rows import Given, Known, needs_inputs, numbers
 
 if TYPE_CHECKING:
     from difffilter.engine.streaming import Stream
@@ -37,8 +39,12 @@ class Tracker:
         engine: ``fused`` compiles the step when the tracker is made (or at the first step,
             where that has known inputs); ``torch``; ``auto``: fused where it can.
 
+        history: seconds by which a row may be late (``step(z, time=...)``); None for rows in
+            order, told by ``dt``.
+        time: of the initial mean, s, with ``history``; None for the first row's.
+
     Attributes:
-        steps: how many were done.
+        steps: how many rows were taken; dropped: how many were later than ``history``.
 
     Raises:
         InputError: a mean or a covariance that does not fit the filter, a wrong value.
@@ -62,6 +68,8 @@ class Tracker:
         values: Values | None = None,
         temperature: float | None = None,
         engine: str = "auto",
+        history: float | None = None,
+        time: float | None = None,
     ) -> None:
         self.filter = filter
         self._engine = pick(engine, math.inf)
@@ -78,7 +86,8 @@ class Tracker:
                 )
             self._belief = filter.start(first.mean, first.deviations)
         self.steps = 0
-        self._informed = _needs_inputs(filter)
+        self._history = None if history is None else History(history, time, self._belief)
+        self._informed = needs_inputs(filter)
         single = self._belief.mean.dim() == 1 and self._dtype == torch.float64
         if self._engine == "auto" and not single:
             self._engine = "torch"
@@ -110,26 +119,69 @@ class Tracker:
             self._engine = "torch"
             tell(error)
 
+    @property
+    def dropped(self) -> int:
+        """Rows that were later than ``history`` and left out."""
+        return 0 if self._history is None else self._history.dropped
+
+    @overload
+    def step(self, z: Given, dt: float | Tensor, inputs: Known | None = None) -> Record: ...
+    @overload
+    def step(self, z: Given, *, inputs: Known | None = None, time: float) -> Record | None: ...
     def step(
         self,
-        z: Tensor | Sequence[float | None] | Mapping[str, float | None],
-        dt: float | Tensor,
-        inputs: Mapping[str, Tensor | Sequence[float] | float] | None = None,
-    ) -> Record:
+        z: Given,
+        dt: float | Tensor | None = None,
+        inputs: Known | None = None,
+        time: float | None = None,
+    ) -> Record | None:
         """Predict over dt seconds and condition on z; returns the step's record.
+
+        With ``time``, and a tracker with ``history``, rows may come in any order: the belief is
+        that of all rows in order of time. A late row goes back to the belief before it and
+        repeats what came since.
 
         Args:
             z: one number per channel in the filter's order, or a mapping by channel name;
                 NaN, None or an absent name where a channel is missing.
-            dt: seconds since the last step, 0 or more.
+            dt: seconds since the last step, 0 or more; time: of the row, s, in its place.
             inputs: known inputs of this step.
+
+        Returns:
+            The row's record; None where it is later than ``history``, and left out.
 
         Raises:
             InputError: a wrong number of channels, an unknown name, dt < 0; the belief
                 stays as it was.
             NonFiniteError: the new belief is not finite; the belief stays as it was.
         """
-        row = self._numbers(z)
+        if (time is None) != (self._history is None) or (dt is None) == (time is None):
+            raise InputError(
+                "step: found dt or time, expected time with history, and dt without it"
+            )
+        if self._history is not None and time is not None:
+            return self._in_place(self._history, z, inputs, float(time))
+        assert dt is not None
+        return self._step(z, dt, inputs)
+
+    def _in_place(self, old: History, z: Given, inputs: Known | None, at: float) -> Record | None:
+        steps, before = self.steps, self.belief
+
+        def again(belief: Belief, row: Given, dt: float, known: Known | None) -> After:
+            self.belief = belief
+            record = self._step(row, dt, known)
+            return self.belief, record
+
+        try:
+            found = old.take(at, z, inputs, again)
+        except BaseException:
+            self.belief, self.steps = before, steps
+            raise
+        self.steps = steps + (found is not None)
+        return None if found is None else found[1]
+
+    def _step(self, z: Given, dt: float | Tensor, inputs: Known | None) -> Record:
+        row = numbers(z, self.filter.channels)
         if self._stream is None and self._engine != "torch":
             self._compile(self._known(inputs))
         if self._stream is not None:
@@ -169,6 +221,8 @@ class Tracker:
         Raises:
             InputError, NonFiniteError: as for :meth:`step`; the belief stays as it was.
         """
+        if self._history is not None:
+            raise InputError("feed: found a tracker with history, expected step with time")
         rows, interval = self._tensor(z), self._tensor(dt)
         if not bool((interval >= 0).all()):
             raise InputError("dt: found less than 0, expected 0 or more seconds")
@@ -207,7 +261,7 @@ class Tracker:
         stream: Stream,
         row: Tensor | list[float],
         dt: float | Tensor,
-        inputs: Mapping[str, Tensor | Sequence[float] | float] | None,
+        inputs: Known | None,
     ) -> Record:
         """The compiled step."""
         z = row.tolist() if isinstance(row, Tensor) else row
@@ -227,32 +281,11 @@ class Tracker:
         self.steps, self._stale = self.steps + 1, True
         return record
 
-    def _known(
-        self, inputs: Mapping[str, Tensor | Sequence[float] | float] | None
-    ) -> dict[str, Tensor]:
+    def _known(self, inputs: Known | None) -> dict[str, Tensor]:
         """Known inputs as tensors; InputError if one is missing."""
         known = {name: self._tensor(value) for name, value in (inputs or {}).items()}
         self.filter.check_inputs(known)
         return known
-
-    def _numbers(
-        self, z: Tensor | Sequence[float | None] | Mapping[str, float | None]
-    ) -> Tensor | list[float]:
-        """z in the order of the channels, NaN where missing."""
-        if isinstance(z, Tensor):
-            return z
-        if isinstance(z, Mapping):
-            channels = self.filter.channels
-            unknown = set(z) - set(channels)
-            if unknown:
-                raise InputError(
-                    f"z: found channel {min(unknown)!r}, expected {', '.join(channels)}"
-                )
-            z = [z.get(name) for name in channels]
-        try:
-            return [math.nan if v is None else float(v) for v in z]
-        except (TypeError, ValueError):
-            raise InputError(f"z: found {z!r}, expected numbers or None") from None
 
     def _row(self, z: Tensor | list[float]) -> Tensor:
         row = torch.as_tensor(z, dtype=self._dtype)
@@ -265,12 +298,3 @@ class Tracker:
 
     def _tensor(self, value: object) -> Tensor:
         return torch.as_tensor(value, dtype=self._dtype)
-
-
-def _needs_inputs(filter: Recipe) -> bool:
-    """Whether a step of the filter reads known inputs."""
-    try:
-        filter.check_inputs({})
-    except InputError:
-        return True
-    return False

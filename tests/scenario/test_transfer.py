@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -14,26 +12,26 @@ import torch
 import difffilter as df
 from difffilter.reports.report import Report
 
-TRAINING = Path(__file__).resolve().parents[2] / "training"
 RUNS = ("los_A1", "los_A2", "nlos_A1", "nlos_A2")
 
 
 @pytest.fixture(scope="module")
-def tables() -> Iterator[ModuleType]:
+def tables() -> ModuleType:
     """The experiment's own tables."""
-    sys.path.insert(0, str(TRAINING))
-    import uwb_tables
+    from training.uwb import claims, figures, scores, tables
 
-    yield uwb_tables
-    sys.path.remove(str(TRAINING))
+    merged = ModuleType("tables")
+    for part in (tables, claims, figures, scores):
+        vars(merged).update({name: x for name, x in vars(part).items() if name[0] != "_"})
+    return merged
 
 
 @pytest.fixture(scope="module")
-def stage(tables: ModuleType) -> ModuleType:
+def stage() -> ModuleType:
     """What tunes and runs."""
-    import uwb_transfer
+    from training.uwb import transfer
 
-    return uwb_transfer
+    return transfer
 
 
 def scored(tables: ModuleType, simulated: float, nees: float, single: float = 0.8) -> dict:
