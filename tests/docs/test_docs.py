@@ -339,6 +339,8 @@ def heading(path: str) -> str:
         parts[1] = NAMED[parts[0]]
     if parts[-1] == "motion":
         return "[motion]"
+    if parts == ["world", "platform", "segments"]:
+        return "[[world.segments]]"
     if parts[0] == "systems" and parts[2:3] == ["modes"] and len(parts) > 3:
         parts[3] = "MODE"
     if parts[:2] == ["log", "files"] and len(parts) == 3:
@@ -356,7 +358,11 @@ def accepted(monkeypatch: pytest.MonkeyPatch) -> set[tuple[str, str]]:
     finish = table.Table.finish
 
     def noted(self: table.Table) -> None:
-        found.update((heading(self.path), key) for key in self._read)
+        section = heading(self.path)
+        for key in self._read:
+            # A mode has the options of a system, which describes them.
+            mode = section == "[systems.NAME.modes.MODE]" and key in options.OPTIONS
+            found.add(("[systems.NAME]" if mode else section, key))
         finish(self)
 
     monkeypatch.setattr(table.Table, "finish", noted)
