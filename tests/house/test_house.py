@@ -30,6 +30,10 @@ LONG_FUNCTIONS: set[tuple[str, str]] = {
     ("difffilter/tuning/loop.py", "tune"),
 }
 LONG_CALLS: set[tuple[str, str]] = {
+    ("difffilter/logs/timing.py", "Pulse"),
+    ("difffilter/scenario/inspection.py", "Inspection"),
+    ("difffilter/scenario/inspection.py", "Proposal"),
+    ("difffilter/verdict/what_changed.py", "Change"),
     ("difffilter/baselines/least_squares.py", "gauss_newton"),
     ("difffilter/bench/sizes.py", "Sizes"),
     ("difffilter/engine/emit.py", "tangent"),
