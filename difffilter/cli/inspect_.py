@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from difffilter.cli.options import Commands, check_place, load_case
-from difffilter.cli.output import note, number, print_json, table
+from difffilter.cli.output import note, number, print_json, say, table
 from difffilter.errors import InputError
 from difffilter.files import write_atomically
 
@@ -76,7 +76,7 @@ def command(args: Namespace) -> int:
     if args.json:
         print_json(found.as_dict())
     else:
-        print("\n".join(_text(args.log, found)))
+        say("\n".join(_text(args.log, found)))
     return 0
 
 
