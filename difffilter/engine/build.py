@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import json
 import os
 import platform
 import shutil
@@ -10,10 +11,10 @@ import subprocess
 from functools import lru_cache
 from pathlib import Path
 
-from difffilter.engine.cache import cache_folder, entry, folders, store, workshop
+from difffilter.engine.cache import cache_folder, entry, folders, key_of, store, workshop
 from difffilter.errors import EngineError
 
-__all__ = ["build", "cache_folder", "compiler"]
+__all__ = ["build", "cache_folder", "compiler", "known", "note"]
 
 #: Fast arithmetic that keeps NaN and infinity visible and the order of sums.
 FLAGS: tuple[str, ...] = (
@@ -46,7 +47,7 @@ def build(source: str) -> ctypes.CDLL:
     cc = compiler()
     if cc is None:
         raise EngineError("engine: found no C compiler, expected cc or gcc (or DIFFFILTER_CC)")
-    key = "\n".join([source, cc, *_flags(source), platform.platform(), _processor()])
+    key = _key(source, cc)
     complaint = "no folder"
     try:
         for folder in folders():
@@ -59,6 +60,46 @@ def build(source: str) -> ctypes.CDLL:
     raise EngineError(f"engine: found no folder to compile in ({complaint})")
 
 
+def _key(source: str, cc: str) -> str:
+    return key_of(source, cc, *_flags(source), platform.platform(), _processor())
+
+
+def note(name: str, text: str, source: str) -> None:
+    """Keep a text with a built source under a name, so that :func:`known` finds both."""
+    cc = compiler() or ""
+    content = json.dumps({"library": _key(source, cc), "text": text})
+    try:
+        for folder in folders():
+            with workshop(folder) as inside:
+                made = Path(inside) / "note.json"
+                made.write_text(content, encoding="utf-8")
+                store(folder, _note_key(name, cc), made, ".json")
+            return
+    except OSError:
+        return  # it is written anew then
+
+
+def known(name: str) -> tuple[str, ctypes.CDLL] | None:
+    """Text and library under a name; None where either is not there or not whole."""
+    cc = compiler()
+    if cc is None:
+        return None
+    try:
+        folder = next(folders())
+        path = entry(folder, _note_key(name, cc), ".json")
+        if path is None:
+            return None
+        said = json.loads(path.read_text(encoding="utf-8"))
+        library = entry(folder, str(said["library"]))
+        return None if library is None else (str(said["text"]), _load(library))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _note_key(name: str, cc: str) -> str:
+    return key_of("note", name, cc, *FLAGS, platform.platform(), _processor())
+
+
 def _load(path: Path) -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(path))
@@ -67,6 +108,7 @@ def _load(path: Path) -> ctypes.CDLL:
         raise
 
 
+@lru_cache(maxsize=1)
 def _processor() -> str:
     """What -march=native depends on: a home folder may serve several machines."""
     try:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from difffilter.engine.notice import tell
 
-__all__ = ["cache_folder", "entry", "folders", "store", "workshop"]
+__all__ = ["cache_folder", "entry", "folders", "key_of", "store", "workshop"]
 
 #: s after which a working folder is left over, where nobody can tell whether its process lives.
 OLD = 86400.0
@@ -117,9 +117,9 @@ def workshop(folder: Path) -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(dir=folder, prefix=f"tmp-{_host()}-{os.getpid()}-")
 
 
-def entry(folder: Path, key: str) -> Path | None:
-    """The library under a key, if it is whole: what its digest says."""
-    path, beside = _places(folder, key)
+def entry(folder: Path, key: str, kind: str = ".so") -> Path | None:
+    """The file under a key (of :func:`key_of`), if it is whole: what its digest says."""
+    path, beside = _places(folder, key, kind)
     try:
         found, wanted = _digest(key, path.read_bytes()), beside.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):
@@ -127,9 +127,9 @@ def entry(folder: Path, key: str) -> Path | None:
     return path if found == wanted.strip() else None
 
 
-def store(folder: Path, key: str, made: Path) -> Path:
-    """Put a library under a key, its digest first; each file whole or not at all."""
-    path, beside = _places(folder, key)
+def store(folder: Path, key: str, made: Path, kind: str = ".so") -> Path:
+    """Put a file under a key, its digest first; each file whole or not at all."""
+    path, beside = _places(folder, key, kind)
     digest = made.with_suffix(".sha256")
     digest.write_text(_digest(key, made.read_bytes()) + "\n", encoding="ascii")
     for target in (path, beside):
@@ -140,11 +140,15 @@ def store(folder: Path, key: str, made: Path) -> Path:
     return path
 
 
-def _places(folder: Path, key: str) -> tuple[Path, Path]:
-    name = hashlib.sha256(key.encode()).hexdigest()[:32]
-    return folder / f"{name}.so", folder / f"{name}.sha256"
+def key_of(*parts: str) -> str:
+    """A key that says all that an entry depends on."""
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _places(folder: Path, key: str, kind: str) -> tuple[Path, Path]:
+    return folder / f"{key[:32]}{kind}", folder / f"{key[:32]}.sha256"
 
 
 def _digest(key: str, content: bytes) -> str:
-    """Of key and content: another entry's library is not this one's."""
-    return hashlib.sha256(hashlib.sha256(key.encode()).digest() + content).hexdigest()
+    """Of key and content: another entry's file is not this one's."""
+    return hashlib.sha256(bytes.fromhex(key) + content).hexdigest()

@@ -3,47 +3,22 @@
 from __future__ import annotations
 
 import ctypes
-from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Record
-from difffilter.engine.build import build
+from difffilter.engine.compiled import Compiled, Job, compiled
 from difffilter.engine.kernels import run_source, sums_source, width_for
-from difffilter.engine.trace import Layout, Objective, Traced, trace
+from difffilter.engine.trace import Layout, Objective, Traced
 from difffilter.errors import EngineError
-from difffilter.filters.recipe import Recipe
-from difffilter.logs.log import Rows
-from difffilter.parameters.values import Constants
 
-__all__ = ["Job", "Tangents", "forward", "rows_of", "run_text", "sums", "traced_step"]
+__all__ = ["Job", "Tangents", "forward", "rows_of", "run_of", "sums"]
 
 Results = tuple[Tensor, Tensor, Record, Belief]
-#: The last traced steps, by filter and shapes; the filter is kept so that its id stays its own.
-_KEPT: OrderedDict[tuple[object, ...], tuple[Recipe, Traced]] = OrderedDict()
-MOST = 64
-#: The last sources, by traced step and kind: writing them takes a moment too.
-_SOURCES: OrderedDict[tuple[object, ...], tuple[Traced, str]] = OrderedDict()
-
-
-class Job(NamedTuple):
-    """What a compiled step runs on.
-
-    Attributes:
-        filter, constants: as for :func:`difffilter.step`.
-        log: rows, z (T, m) or (T, ..., m).
-        start: fitted to the trajectories.
-        intervals: dt before each row, (T,) or (T, ...).
-    """
-
-    filter: Recipe
-    constants: Constants
-    log: Rows
-    start: Belief
-    intervals: Tensor
 
 
 class Tangents(NamedTuple):
@@ -67,17 +42,15 @@ def forward(job: Job) -> Results:
             compiler.
     """
     lead, rows = rows_of(job)
-    traced = traced_step(job, rows, len(lead))
-    steps, size = job.log.steps, max(job.log.z[0, ..., 0].numel(), 1)
-    width = width_for(size)
-    library = build(run_text(traced, width))
+    steps, size = job.log.steps, prod(lead)
+    step = run_of(job, rows, len(lead), width_for(size))
     made = [
-        torch.empty(steps, size, max(width, 1), dtype=torch.float64)
-        for width in (traced.state.size, traced.output.size)
+        torch.empty(steps, size, max(count, 1), dtype=torch.float64)
+        for count in (step.state.size, step.output.size)
     ]
-    library.run(*_arguments(traced, job, rows, lead), *(_pointer(x) for x in made))
+    step.library.run(*_arguments(step, job, rows, lead), *(_pointer(x) for x in made))
     states, outputs = (x.reshape(steps, *lead, -1) for x in made)
-    found, fields = traced.state.unpack(states), traced.output.unpack(outputs)
+    found, fields = step.state.unpack(states), step.output.unpack(outputs)
     for name in ("present", "isolated"):
         fields[name] = fields[name] != 0.0
     means, deviations = found.pop("mean"), found.pop("deviations")
@@ -99,28 +72,26 @@ def sums(
         EngineError: as for :func:`forward`.
     """
     lead, rows = rows_of(job, objective)
-    traced = traced_step(job, rows, len(lead), objective)
-    moving = tangents.active if tangents else frozenset()
-    active = _places(traced.constants, moving)
+    moving = tangents.active if tangents else frozenset[str]()
     given = tangents.start if tangents else None
-    states = set() if given is None else set(range(traced.state.size))
-    size = job.log.z[0, ..., 0].numel()
+    size = prod(lead)
     width = width_for(size)
-    text = _source(
-        traced,
-        ("sums", moving, given is None, width),
-        lambda t: sums_source(t, active if tangents else None, states, width),
-    )
-    library = build(text)
+
+    def source(traced: Traced) -> str:
+        active = _places(traced.constants, moving) if tangents else None
+        states = set() if given is None else set(range(traced.state.size))
+        return sums_source(traced, active, states, width)
+
+    kind = ("sums", tangents is None, tuple(sorted(moving)), given is None, width)
+    step = compiled(job, rows, len(lead), kind, source, objective)
     p = len(tangents.constants) if tangents else 0
-    sizes = tuple(map(len, traced.sums))
-    q = sum(sizes)
+    q = sum(step.sums)
     total, dtotal = torch.zeros(size, q, dtype=torch.float64), torch.zeros(size, p, q).double()
     gram, bad = torch.zeros(size, p, p).double(), torch.zeros(size, dtype=torch.long)
     dc = tangents.constants.contiguous() if tangents else total
     ds = None if given is None else given.reshape(p, size, -1).contiguous()
-    failed = library.sums(
-        *_arguments(traced, job, rows, lead),
+    failed = step.library.sums(
+        *_arguments(step, job, rows, lead),
         ctypes.c_long(p),
         _pointer(dc),
         None if ds is None else _pointer(ds),
@@ -128,49 +99,12 @@ def sums(
     )
     if failed:
         raise EngineError("engine fused: found no memory for its tangents")
-    return sizes, total, dtotal, gram, bad
+    return step.sums, total, dtotal, gram, bad
 
 
-def traced_step(
-    job: Job, rows: Mapping[str, Tensor], lead: int, objective: Objective | None = None
-) -> Traced:
-    """The traced step, from memory where filter and shapes are the same."""
-    start = job.start
-    one = Belief(
-        _single(start.mean, lead),
-        _single(start.deviations, lead),
-        {name: _single(value, lead) for name, value in start.memory.items()},
-    )
-    row = {
-        name: _single(value, 1 + lead) for name, value in rows.items() if name not in ("z", "dt")
-    }
-    shapes = tuple(
-        (name, tuple(x.shape))
-        for part in (dict(job.constants), one.memory, row)
-        for name, x in part.items()
-    )
-    key = (id(job.filter), shapes, objective)
-    if key not in _KEPT:
-        _KEPT[key] = (job.filter, trace(job.filter, job.constants, one, row, objective))
-        if len(_KEPT) > MOST:
-            _KEPT.popitem(last=False)
-    _KEPT.move_to_end(key)
-    return _KEPT[key][1]
-
-
-def run_text(traced: Traced, width: int) -> str:
-    """C source of a run with so many lanes."""
-    return _source(traced, ("run", width), lambda t: run_source(t, width))
-
-
-def _source(traced: Traced, kind: object, write: Callable[[Traced], str]) -> str:
-    key = (id(traced), kind)
-    if key not in _SOURCES:
-        _SOURCES[key] = (traced, write(traced))
-        if len(_SOURCES) > MOST:
-            _SOURCES.popitem(last=False)
-    _SOURCES.move_to_end(key)
-    return _SOURCES[key][1]
+def run_of(job: Job, rows: Mapping[str, Tensor], lead: int, width: int) -> Compiled:
+    """The compiled run with so many lanes."""
+    return compiled(job, rows, lead, ("run", width), lambda t: run_source(t, width))
 
 
 def rows_of(
@@ -198,17 +132,17 @@ def _broadcast(x: Tensor, steps: int, lead: tuple[int, ...]) -> Tensor:
 
 
 def _arguments(
-    traced: Traced, job: Job, rows: Mapping[str, Tensor], lead: tuple[int, ...]
+    step: Compiled, job: Job, rows: Mapping[str, Tensor], lead: tuple[int, ...]
 ) -> list[Any]:
     """What both compiled functions begin with; the arrays live as long as the list."""
     state = {"mean": job.start.mean, "deviations": job.start.deviations, **job.start.memory}
-    packed = [traced.constants.pack(job.constants, ()), traced.state.pack(state, lead)]
-    flat = [_flat(rows[name], len(lead)) for name in traced.row.shapes]
+    packed = [step.constants.pack(job.constants, ()), step.state.pack(state, lead)]
+    flat = [_flat(rows[name], len(lead)) for name in step.row.shapes]
     pointers = (ctypes.c_void_p * len(flat))(*(x.data_ptr() for x in flat))
     along = (ctypes.c_long * len(flat))(*(x.stride(0) for x in flat))
     across = (ctypes.c_long * len(flat))(*(x.stride(1) for x in flat))
     pointers.keep = flat  # type: ignore[attr-defined]
-    size = job.log.z[0, ..., 0].numel()
+    size = prod(lead)
     count = [ctypes.c_long(job.log.steps), ctypes.c_long(size)]
     return [*count, *(_pointer(x) for x in packed), pointers, along, across]
 
@@ -235,7 +169,3 @@ def _places(layout: Layout, names: Sequence[str] | frozenset[str]) -> set[int]:
             found |= set(range(at, at + count))
         at += count
     return found
-
-
-def _single(x: Tensor, first: int) -> Tensor:
-    return x[(0,) * first].clone()

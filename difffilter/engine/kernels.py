@@ -78,7 +78,8 @@ void constants(const double *c, double *h)
 }}
 
 /* One step of one belief: 0, or 1 + the place of the first number that is not finite (the
-   belief stays as it was then). The record's last two fields are truth values. */
+   belief stays as it was then). The record's last two fields are truth values; behind the others
+   comes the new belief. */
 long one(const double *c, const double *h, double *state, const double *const *in,
          double *output, unsigned char *flags)
 {{
@@ -93,6 +94,7 @@ long one(const double *c, const double *h, double *state, const double *const *i
         if (!isfinite(o[i][0]))
             return i + 1;
     memcpy(state, o, {states} * sizeof *state);
+    memcpy(output + {numbers}, o, {states} * sizeof *state);
     return 0;
 }}
 """

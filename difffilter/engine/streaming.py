@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Record
-from difffilter.engine.build import build
-from difffilter.engine.fused import Job, rows_of, run_text, traced_step
+from difffilter.engine.compiled import Job
+from difffilter.engine.fused import rows_of, run_of
 from difffilter.errors import EngineError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
@@ -47,19 +47,20 @@ class Stream:
         log = Rows(filter.channels, zero, z, inputs=known)
         job = Job(filter, constants, log, belief, zero)
         lead, rows = rows_of(job)
-        traced = traced_step(job, rows, len(lead))
-        library = build(run_text(traced, 1))
+        traced = run_of(job, rows, len(lead), 1)
+        library = traced.library
         self._layout, self._inputs = traced.state, tuple(inputs)
         self._rows = {name: rows[name][0].contiguous().clone() for name in traced.row.shapes}
         self._z, self._dt = self._rows["z"].numpy(), self._rows["dt"].view(1).numpy()
         self._constants = traced.constants.pack(constants, ())
-        self._kept = torch.zeros(max(traced.program.size, 1), dtype=torch.float64)
+        self._kept = torch.zeros(traced.kept, dtype=torch.float64)
         library.constants(_at(self._constants), _at(self._kept))
         self._pointers = (ctypes.c_void_p * len(self._rows))(
             *(x.data_ptr() for x in self._rows.values())
         )
         self._state = torch.empty(traced.state.size, dtype=torch.float64)
         self._parts = [self._layout.count(shape) for shape in self._layout.shapes.values()]
+        self._shapes = tuple(self._layout.shapes.values())
         self._memory = tuple(self._layout.shapes)[2:]
         self.set(belief)
         one = library.one
@@ -69,19 +70,20 @@ class Stream:
             one, _at(self._constants), _at(self._kept), _at(self._state), self._pointers
         )
         sizes = [traced.output.count(shape) for shape in traced.output.shapes.values()]
-        self._sizes, self._size = sizes[:-2], sum(sizes[:-2])
+        self._sizes = sizes[:-2] + self._parts
+        self._fields, self._size = len(sizes) - 2, sum(self._sizes)
         self._observed = traced.output.shapes["observed"]
 
     def set(self, belief: Belief) -> None:
         """Take another belief."""
         state = {"mean": belief.mean, "deviations": belief.deviations, **belief.memory}
         self._state.copy_(self._layout.pack(state, ()))
+        self._last = self._state.clone().split_with_sizes(self._parts)
 
     @property
     def belief(self) -> Belief:
-        """A copy of the current belief."""
-        parts = self._state.clone().split_with_sizes(self._parts)
-        mean, deviations, *memory = map(torch.Tensor.view, parts, self._layout.shapes.values())
+        """The current belief: views of what the last step wrote, which no later one changes."""
+        mean, deviations, *memory = map(Tensor.view, self._last, self._shapes)
         return Belief(mean, deviations, dict(zip(self._memory, memory, strict=True)))
 
     def step(
@@ -95,7 +97,10 @@ class Stream:
         output = torch.empty(self._size, dtype=torch.float64)
         flags = torch.empty(2, len(self._z), dtype=torch.bool)
         bad = self._one(output.data_ptr(), flags.data_ptr())
-        fields = output.split_with_sizes(self._sizes)
+        parts = output.split_with_sizes(self._sizes)
+        fields = parts[: self._fields]
+        if not bad:
+            self._last = parts[self._fields :]
         record = Record(fields[0], fields[1].view(self._observed), *fields[2:], *flags.unbind())
         return record, bad
 
