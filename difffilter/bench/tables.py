@@ -90,7 +90,10 @@ def _memory(report: Report, found: Findings, sizes: Sizes) -> None:
 
 def _streaming(report: Report, found: Findings) -> None:
     report.heading("One step on a live stream, from Python")
-    report.text("`Tracker.step`; filterpy: `predict` and `update`. Medians over runs of 200 rows.")
+    report.text(
+        "`Tracker.step`; the same with `Tracker.belief` read after it; a row of `Tracker.feed`; "
+        "filterpy: `predict` and `update`. Medians over runs of 200 rows."
+    )
     rows = [[*key, time] for key, time in found.streaming.items()]
     report.table("streaming", ["contender", "filter", "us per step"], rows)
 

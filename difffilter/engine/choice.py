@@ -11,7 +11,7 @@ from difffilter.engine.notice import tell
 from difffilter.errors import EngineError, InputError
 from difffilter.logs.log import Rows
 
-__all__ = ["ENGINES", "eager_seconds", "pick", "settled", "tell", "with_engine"]
+__all__ = ["ENGINES", "eager_seconds", "pick", "settled", "tell", "tried", "with_engine"]
 
 ENGINES = ("auto", "torch", "fused")
 #: s of torch's time from which ``auto`` compiles: the engine takes a tenth of it or less.
@@ -52,7 +52,7 @@ def with_engine(
 ) -> Result:
     """The result of the engine that was picked; ``auto`` falls back to torch and says so once."""
     chosen = pick(engine, seconds)
-    found = _tried(chosen, fused)
+    found = tried(chosen, fused)
     return plain() if found is None else found[0]
 
 
@@ -61,10 +61,10 @@ def settled(engine: str, trial: Callable[[], object], seconds: float) -> str:
     chosen = pick(engine, seconds)
     if chosen != "auto":
         return chosen
-    return "torch" if _tried(chosen, trial) is None else "fused"
+    return "torch" if tried(chosen, trial) is None else "fused"
 
 
-def _tried(chosen: str, fused: Callable[[], Result]) -> tuple[Result] | None:
+def tried(chosen: str, fused: Callable[[], Result]) -> tuple[Result] | None:
     """What the compiled engine gives; None for torch, chosen or fallen back to."""
     if chosen == "torch":
         return None

@@ -102,7 +102,8 @@ def prepared(
         raise InputError("log: found no row, expected one or more")
     filter.check_inputs(log.inputs)
     values = dict(values or {})
-    values = filter.published(log.z.dtype) | values
+    if {log.z.dtype, *(value.dtype for value in values.values())} != {torch.float64}:
+        values = filter.published(log.z.dtype) | values  # else what prepare takes by itself
     constants = filter.prepare(values, temperature)
     start = start if start is not None else log.start
     if start is None:

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Measurement, Record, belief
-from difffilter.engine.choice import pick, tell
-from difffilter.errors import EngineError, InputError, NonFiniteError
+from difffilter.engine.choice import pick, tried
+from difffilter.errors import InputError, NonFiniteError
 from difffilter.filters.recipe import Recipe
 from difffilter.filters.stepping import step
 from difffilter.logs.log import Log
@@ -111,13 +111,12 @@ class Tracker:
         """Go over to the compiled step; ``auto`` stays with torch where there is none."""
         from difffilter.engine.streaming import Stream
 
-        try:
-            self._stream = Stream(self.filter, self._constants, self._belief, inputs)
-        except EngineError as error:
-            if self._engine == "fused":
-                raise
+        constants, now = self._constants, self._belief
+        found = tried(self._engine, lambda: Stream(self.filter, constants, now, inputs))
+        if found is None:
             self._engine = "torch"
-            tell(error)
+        else:
+            self._stream = found[0]
 
     @property
     def dropped(self) -> int:
@@ -245,15 +244,10 @@ class Tracker:
         from difffilter.engine.fused import Job, forward
 
         current, recipe = self.belief, self.filter
-        if self._engine != "torch":
-            try:
-                found = forward(Job(recipe, self._constants, log, current, interval))
-            except EngineError as error:
-                if self._engine == "fused":
-                    raise
-                tell(error)
-            else:
-                return Track(recipe.states, recipe.channels, log.time, *found)
+        job = Job(recipe, self._constants, log, current, interval)
+        found = tried(self._engine, lambda: forward(job))
+        if found is not None:
+            return Track(recipe.states, recipe.channels, log.time, *found[0])
         return eager(recipe, self._constants, log, current, interval)
 
     def _streamed(

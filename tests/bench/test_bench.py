@@ -17,6 +17,7 @@ from difffilter.bench.findings import Findings, Speed
 from difffilter.bench.job import FUSED, IMQ, M_EKF, PLAIN, TASKS, TORCH, own, problem, task
 from difffilter.bench.measure import DisagreementError, agree, interleaved
 from difffilter.bench.sizes import FULL, QUICK
+from difffilter.bench.stream import FED, READ
 from difffilter.cli.main import main
 from difffilter.engine.build import compiler
 from difffilter.errors import InputError
@@ -43,7 +44,8 @@ def test_a_quick_run_reports_every_row_in_finite_numbers(tmp_path: Path) -> None
         assert row["value (us)"] > 0.0
         assert row["value + gradient (us)"] > 0.0
     assert [row["contender"] for row in tables["memory"]] == [FUSED, TORCH]
-    assert [row["filter"] for row in tables["streaming"]] == [IMQ, PLAIN, IMQ]
+    streamed = [(row["contender"], row["filter"]) for row in tables["streaming"]]
+    assert streamed == [(FUSED, IMQ), (READ, IMQ), (FUSED, PLAIN), (TORCH, IMQ), (FED, IMQ)]
     assert [row["filter"] for row in tables["compile"]] == list(QUICK.compiled)
     numbers = [
         value
