@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from argparse import Namespace
 from pathlib import Path
+from typing import Any
 
 from difffilter.cli.logs import read_logs
 from difffilter.cli.options import Commands, whole
@@ -67,18 +68,43 @@ def command(args: Namespace) -> int:
             raise InputError(f"{checkpoint.scenario.name}: has no world, expected --log")
 
     from difffilter.reports.report import Report
-    from difffilter.verdict.judge import verdict
+    from difffilter.verdict.judge import verdict, write_index
 
     settings = {"seed": args.seed, "trajectories": args.trajectories}
-    report = Report(args.out, "Verdict: published against tuned", settings)
-    for path, checkpoint in zip(args.checkpoint, held, strict=True):
+    names = _names(args.checkpoint)
+    several = len(held) > 1
+    judged: dict[str, tuple[str, dict[str, Any]]] = {}
+    for name, checkpoint in zip(names, held, strict=True):
+        folder = Path(args.out, name) if several else Path(args.out)
+        report = Report(folder, f"{name}: published against tuned", settings)
         log = read_logs(checkpoint.scenario, args.log)
         text = verdict(
             report, checkpoint, args.trajectories, args.seed, log=log,
-            train=read_logs(checkpoint.scenario, args.train), name=Path(path).stem,
+            train=read_logs(checkpoint.scenario, args.train), name=name,
             seeds=range(args.contest), progress=not args.quiet and sys.stderr.isatty(),
             engine=args.engine,
         )  # fmt: skip
-        say(f"{Path(path).stem}, {checkpoint.system}: {text}")
-    say(f"report written to {report.write().with_suffix('.html')}")
+        say(f"{name}, {checkpoint.system}: {text}")
+        path = report.write()
+        where = f"{name}/report.html" if several else "report.html"
+        judged |= {
+            key: (report.verdicts[key], {**data, "page": where})
+            for key, data in report.judged.items()
+        }
+    if several:
+        report = Report(args.out, "Published against tuned", settings)
+        for key, (text, data) in judged.items():
+            report.verdict(key, text, data)
+        write_index(report, {key: data for key, (_, data) in judged.items()})
+        path = report.write()
+    say(f"report written to {path.with_suffix('.html')}")
     return 0
+
+
+def _names(paths: list[str]) -> list[str]:
+    """A name for each checkpoint: its file's, with its folder's where two are the same."""
+    stems = [Path(path).stem for path in paths]
+    return [
+        stem if stems.count(stem) == 1 else f"{stem}-{stems[:at].count(stem) + 1}"
+        for at, stem in enumerate(stems)
+    ]

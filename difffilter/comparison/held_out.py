@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
@@ -18,6 +18,7 @@ from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
 from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import estimate, started
+from difffilter.scoring.directions import mean_directions
 from difffilter.scoring.metrics import mean_nees, paired_ratio, position_error, scored_rows
 
 __all__ = ["HeldOut", "Outcome"]
@@ -33,6 +34,7 @@ class Outcome:
         rows: (T, ...), those that count.
         rmse: position root mean square error, m.
         nees: mean NEES per state, 1 expected.
+        directions: mean NEES along each principal direction of P, 1 expected.
     """
 
     track: Track
@@ -40,6 +42,7 @@ class Outcome:
     rows: Tensor
     rmse: float
     nees: float
+    directions: Mapping[str, float] = field(default_factory=dict)
 
     def ratio(self, to: Outcome) -> tuple[float, float, float]:
         """RMSE divided by that of another, over the rows of both, with its 95 % interval."""
@@ -65,7 +68,7 @@ class HeldOut:
     engine: str = "auto"
 
     @cached_property
-    def _chosen(self) -> str:
+    def chosen(self) -> str:
         """The engine of many runs: ``auto`` compiles where that is possible at all."""
         some = list(range(min(8, self.log.trajectories)))
         few = self.log.select(some) if self.log.z.dim() > 2 else self.log
@@ -90,9 +93,10 @@ class HeldOut:
         ready = start(started(self.scenario, self.filter, self.log, values))
         with torch.no_grad():
             track = estimate(
-                self.filter, ready, values, temperature=self.temperature, engine=self._chosen
+                self.filter, ready, values, temperature=self.temperature, engine=self.chosen
             )
         rows = scored_rows(self.log, track, self.scenario.score)
         squared = position_error(self.log, track)
         error = float(squared[rows].mean().sqrt())
-        return Outcome(track, squared, rows, error, float(mean_nees(self.log, track, rows)))
+        nees = float(mean_nees(self.log, track, rows))
+        return Outcome(track, squared, rows, error, nees, mean_directions(self.log, track, rows))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from difffilter.escape import html, tagless
 
-__all__ = ["END", "START", "aside", "figure", "page", "paragraph", "table"]
+__all__ = ["END", "START", "aside", "card", "figure", "index", "page", "paragraph", "table"]
 
 #: Between these stands the body, for pages made of several.
 START, END = "<!-- body -->", "<!-- end of body -->"
@@ -19,7 +19,10 @@ HEAVY = 300_000
 #: A word of a table with this many letters may be broken.
 LONG = 24
 #: Words that stand out in a table, and their class.
-MARKS = {"held": "held", "not held": "missed", "cannot be checked": "open"}
+MARKS = {
+    "held": "held", "not held": "missed", "cannot be checked": "open",
+    "adopt": "adopt", "adopt if": "if", "keep": "keep",
+}  # fmt: skip
 
 _STYLE = """\
 :root { color-scheme: light; }
@@ -39,6 +42,17 @@ figcaption { font-size: 0.85rem; color: #444; }
 .open { color: #555; font-style: italic; }
 aside { border-left: 3px solid #4477aa; margin: 0.8rem 0 1.6rem; padding: 0.1rem 0.9rem;
         color: #333; font-size: 0.92rem; background: #f5f7fa; }
+.grade { display: inline-block; padding: 0.15rem 0.8rem; border-radius: 0.3rem; color: white;
+         font-weight: 700; font-size: 1.2rem; }
+.adopt { color: #00694c; font-weight: 600; } .if { color: #8a5a00; font-weight: 600; }
+.keep { color: #a33c00; font-weight: 600; }
+.grade.adopt { background: #00694c; color: white; } .grade.if { background: #8a5a00; color: white; }
+.grade.keep { background: #a33c00; color: white; }
+dl { margin: 0.8rem 0; display: grid; grid-template-columns: 11rem 1fr; gap: 0.4rem 1rem; }
+dt { font-weight: 600; } dd { margin: 0; }
+@media screen and (max-width: 40rem) { dl { grid-template-columns: 1fr; gap: 0.1rem; }
+                                       dd { margin-bottom: 0.5rem; } }
+summary { cursor: pointer; font-weight: 600; padding: 0.45rem 0; border-top: 1px solid #ddd; }
 nav a { display: inline-block; margin-right: 1rem; padding: 0.4rem 0; }
 @media screen and (max-width: 40rem) { table { width: max-content; }
                                        th, td { max-width: 14rem; } }
@@ -72,6 +86,28 @@ def page(title: str, body: Sequence[str]) -> str:
 </body>
 </html>
 """
+
+
+def card(word: str, rows: Sequence[tuple[str, str]]) -> str:
+    """A grade in its colour, and what is to be known at once."""
+    lines = "\n".join(f"<dt>{_words(name)}</dt><dd>{_words(text)}</dd>" for name, text in rows)
+    kind = MARKS.get(word, "open")
+    return f'<p><span class="grade {kind}">{html(word)}</span></p>\n<dl>\n{lines}\n</dl>'
+
+
+def index(head: Sequence[str], rows: Sequence[Sequence[str]], links: Sequence[str]) -> str:
+    """A table whose first cells lead to pages of their own."""
+    cells = "".join(f"<th>{_words(text)}</th>" for text in head)
+    lines = "\n".join(
+        f'<tr><td><a href="{html(link)}">{_words(row[0])}</a></td>'
+        + "".join(f"<td>{_cell(text)}</td>" for text in row[1:])
+        + "</tr>"
+        for row, link in zip(rows, links, strict=True)
+    )
+    return (
+        f'<div class="wide"><table>\n<thead><tr>{cells}</tr></thead>\n'
+        f"<tbody>\n{lines}\n</tbody>\n</table></div>"
+    )
 
 
 def aside(text: str) -> str:

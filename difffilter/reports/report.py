@@ -6,7 +6,8 @@ As Markdown, as JSON, and as one HTML page that stands alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from difffilter.provenance import git_commit, library_versions
 from difffilter.reports import page
 from difffilter.reports.figures.style import save_figure
 
-__all__ = ["HELD", "Report"]
+__all__ = ["HELD", "Report", "digits"]
 
 #: What is said of a claim.
 HELD: Mapping[bool | None, str] = {True: "held", False: "not held", None: "cannot be checked"}
@@ -58,6 +59,7 @@ class Report:
             "tables": {},
             "papers": {},
             "verdicts": {},
+            "judged": {},
             "comparisons": {},
             "claims": [],
             "figures": [],
@@ -68,9 +70,49 @@ class Report:
         self._lines += [f"{'#' * level} {markdown(text)}", ""]
         self._body.append(f"<h{level}>{html(text)}</h{level}>")
 
-    def verdict(self, name: str, text: str) -> None:
-        """What an engineer is advised to do about ``name``, for whoever joins reports."""
+    def verdict(self, name: str, text: str, data: Mapping[str, Any] | None = None) -> None:
+        """What an engineer is advised to do about ``name``, for whoever joins reports.
+
+        Args:
+            data: the verdict as data.
+        """
         self._data["verdicts"][name] = text
+        if data is not None:
+            self._data["judged"][name] = dict(data)
+
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """The advice on each subject."""
+        return dict(self._data["verdicts"])
+
+    @property
+    def judged(self) -> dict[str, dict[str, Any]]:
+        """The verdicts as data."""
+        return dict(self._data["judged"])
+
+    def card(self, word: str, rows: Sequence[tuple[str, str]]) -> None:
+        """What is seen first: a grade in its colour, and a line for each thing to know."""
+        self._lines += [f"**{markdown(word)}**", ""]
+        self._lines += [f"- {markdown(name)}: {markdown(text)}" for name, text in rows]
+        self._lines.append("")
+        self._body.append(page.card(word, rows))
+
+    @contextmanager
+    def folded(self, title: str) -> Iterator[None]:
+        """Everything written inside folds out on the page."""
+        self._lines += [f"### {markdown(title)}", ""]
+        self._body.append(f"<details><summary>{html(title)}</summary>")
+        try:
+            yield
+        finally:
+            self._body.append("</details>")
+
+    def index(self, head: Sequence[str], rows: Sequence[Sequence[str]], links: Sequence[str]) -> (
+        None
+    ):  # fmt: skip
+        """A table whose first cells lead to pages of their own."""
+        self._lines += [_line(head), "|" + "---|" * len(head), *map(_line, rows), ""]
+        self._body.append(page.index(head, rows, links))
 
     def text(self, text: str) -> None:
         """A paragraph."""
@@ -80,7 +122,7 @@ class Report:
     def table(
         self, name: str, head: Sequence[str], rows: Sequence[Sequence[Any]], paper: str = ""
     ) -> None:
-        """A table; numbers are shown with three decimals and kept whole in the JSON.
+        """A table; numbers are shown with four digits and kept whole in the JSON.
 
         Args:
             paper: what the paper says about the same table, shown beside it.
@@ -148,6 +190,14 @@ class Report:
         write_atomically(self.folder / "report.html", page.page(self.title, self._body))
         write_atomically(self.folder / "report.json", json_text(self._data) + "\n")
         return path
+
+
+def digits(value: float, count: int = 4) -> str:
+    """A number with ``count`` significant digits, and no exponent where it can be read without."""
+    if 1e-4 <= abs(value) < 1e6:
+        rounded = float(f"{value:.{count}g}")
+        return f"{rounded:.10f}".rstrip("0").rstrip(".") if abs(rounded) < 1e4 else f"{rounded:.0f}"
+    return f"{value:.{count}g}"
 
 
 def _cell(value: Any) -> str:

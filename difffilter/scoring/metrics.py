@@ -19,6 +19,7 @@ __all__ = [
     "Score",
     "bootstrap_indices",
     "bootstrap_interval",
+    "difference",
     "isolated",
     "mean_nees",
     "nees",
@@ -64,10 +65,10 @@ def _position_states(log: Rows, track: Track) -> list[str]:
 
 def position_difference(log: Rows, track: Track) -> Tensor:
     """(T, ..., axes), estimated minus true position, m; 0 where either is missing."""
-    return _difference(log, track, _position_states(log, track))
+    return difference(log, track, _position_states(log, track))
 
 
-def _difference(log: Rows, track: Track, names: list[str]) -> Tensor:
+def difference(log: Rows, track: Track, names: list[str]) -> Tensor:
     """Estimate minus truth; 0 where either is missing, so that no NaN enters a gradient."""
     assert log.truth is not None
     truth = log.truth[..., [log.truth_states.index(name) for name in names]]
@@ -131,7 +132,7 @@ def nees(log: Rows, track: Track, per_position: bool = False) -> Tensor:
         if per_position
         else [name for name in log.truth_states if name in track.states]
     )
-    error = _difference(log, track, names)
+    error = difference(log, track, names)
     deviations = track.deviations[..., track.named(names), :]
     covariance = deviations @ deviations.mT
     # Where there is no estimate (NaN rows, never scored) any regular matrix will do.

@@ -31,7 +31,6 @@ def write_contest(
     """
     held, checkpoint = case.held, case.checkpoint
     scenario, filter, settings = checkpoint.scenario, held.filter, checkpoint.scenario.tuning
-    report.heading("Is the gradient worth it?", 3)
     if not seeds or (scenario.world is None and train is None):
         why = "was not asked for" if not seeds else "needs the recordings to train on"
         report.text(f"Left out: the contest of tuners {why}.")

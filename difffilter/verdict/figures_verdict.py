@@ -1,12 +1,11 @@
-"""Figures of a verdict: consistency over time, and errors under other conditions."""
+"""The figure of a verdict: consistency over time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import torch
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -15,9 +14,8 @@ from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.reports.figures.style import COLOURS, axes_grid, plain_log
 from difffilter.scoring.metrics import nees, nees_states, scored_rows
-from difffilter.verdict.stresses import CONDITIONS, Grid, Stressed
 
-__all__ = ["autocorrelation", "consistency_figure", "grid_figure", "stress_figure"]
+__all__ = ["autocorrelation", "consistency_figure"]
 
 #: Consistency below this looks like this: a start that is known for sure.
 LOWEST = 0.05
@@ -64,37 +62,6 @@ def consistency_figure(log: Log, tracks: Mapping[str, Track]) -> Figure:
     return figure
 
 
-def grid_figure(grid: Grid) -> Figure:
-    """Tuned / published over outliers and noise, the published RMSE in m as contours."""
-    figure, (ax,) = axes_grid(1, 1, width=7.0, height=4.4)
-    x, y = range(len(grid.outliers)), range(len(grid.noise))
-    ratio = torch.tensor(grid.ratio)
-    most = max(float(ratio.log().abs().max()), math.log(1.05))
-    drawn = ax.pcolormesh(
-        x, y, ratio, cmap="RdBu_r", shading="nearest",
-        norm=LogNorm(math.exp(-most), math.exp(most)),
-    )  # fmt: skip
-    lines = ax.contour(x, y, torch.tensor(grid.published), colors="black", linewidths=0.8)
-    ax.clabel(lines, fmt="%.3g m", fontsize=8)
-    for i in y:
-        for j in x:
-            ax.text(
-                j,
-                i - 0.36,
-                f"{float(ratio[i, j]):.2f}",
-                ha="center",
-                fontsize=8,
-                bbox={"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0},
-            )
-    ax.set_xticks(list(x), [f"{100 * share:g} %" for share in grid.outliers])
-    ax.set_yticks(list(y), [f"{level:g}" for level in grid.noise])
-    ax.set(xlabel="outliers added", ylabel="times the noise")
-    ax.grid(False)
-    bar = figure.colorbar(drawn, ax=ax, label="RMSE tuned / published")
-    plain_log(bar.ax, "y")
-    return figure
-
-
 def autocorrelation(track: Track, lags: int = 20) -> tuple[list[float], float]:
     """Of the normalised innovations, per lag, and half the band of white ones (95 %).
 
@@ -116,28 +83,6 @@ def autocorrelation(track: Track, lags: int = 20) -> tuple[list[float], float]:
         count = max(len(a), 1)
         found.append(float((a * b).mean() / (a.square().mean() * b.square().mean()).sqrt()))
     return found, 1.96 / math.sqrt(count)
-
-
-def stress_figure(found: Sequence[Stressed]) -> Figure:
-    """Position RMSE of published and tuned values against the level of each condition."""
-    figure, axes = axes_grid(2, 2, 4.6, 3.2)
-    for ax, (name, (meaning, _)) in zip(axes, CONDITIONS.items(), strict=True):
-        here = [x for x in found if x.condition == name]
-        levels = [x.level for x in here]
-        for label, error in (
-            ("published", [x.published for x in here]),
-            ("tuned", [x.tuned for x in here]),
-        ):
-            ax.plot(levels, error, marker="o", label=label, color=COLOURS[label])
-        errors = [error for x in here for error in (x.published, x.tuned)]
-        if max(errors) > 20.0 * min(errors):
-            plain_log(ax, "y")
-        else:
-            ax.set_ylim(bottom=0.0)
-        ax.set_xlabel(meaning)
-        ax.set_ylabel("position RMSE (m)")
-    axes[0].legend(frameon=False)
-    return figure
 
 
 def _time(track: Track) -> Tensor:

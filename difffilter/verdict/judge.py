@@ -1,28 +1,26 @@
-"""The verdict on a checkpoint as a report: adopt the tuned values or not, and at what risk."""
+"""The verdict on a checkpoint as a page: adopt the tuned values or not, and at what risk."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
-from difffilter.comparison.comparison import Comparison, compare
-from difffilter.comparison.held_out import HeldOut
+from difffilter.comparison.comparison import compare
 from difffilter.logs.log import Log
 from difffilter.reports.figures.world import world_figure
-from difffilter.reports.report import Report
+from difffilter.reports.report import Report, digits
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.scenario import Scenario
-from difffilter.scenario.simulation import simulate
 from difffilter.scenario.systems import recipes
 from difffilter.verdict.contest_section import write_contest
-from difffilter.verdict.figures_verdict import grid_figure, stress_figure
+from difffilter.verdict.evidence import Evidence, gather
+from difffilter.verdict.grade import GRADES, harmful, misled
 from difffilter.verdict.sections import Case, write_changes, write_trust
-from difffilter.verdict.stresses import Stressed, stress, stress_grid
-from difffilter.verdict.what_changed import Change, changes, honest
+from difffilter.verdict.stresses import Stressed
+from difffilter.verdict.what_changed import changes
 
-__all__ = ["advice", "verdict"]
-
-#: A condition is a risk where tuned values are this much worse than the published ones.
-WORSE = 1.03
+__all__ = ["summary", "verdict", "write_index"]
 
 
 def verdict(
@@ -43,7 +41,7 @@ def verdict(
     Args:
         trajectories, seed: of the simulated held-out trajectories.
         log: recorded ones in their place.
-        train: recorded logs that the values were tuned on, for the contest.
+        train: recorded logs that the values were tuned on.
         name: of the checkpoint in headings and file names; the scenario's if empty.
         seeds: of the contest of tuners, one tuning each; none leaves it out.
         progress: show how far the contest is.
@@ -51,76 +49,127 @@ def verdict(
     Raises:
         InputError: a scenario of recordings without ``log``; a log without truth.
     """
-    scenario, system = checkpoint.scenario, checkpoint.system
-    filter = checkpoint.published_filter
-    held_out = simulate(scenario, trajectories, seed, "test") if log is None else log
-    held = HeldOut(scenario, filter, held_out.only(filter.channels), checkpoint.temperature, engine)
-    name = name or scenario.name
+    found = gather(checkpoint, trajectories, seed, log=log, train=train, engine=engine)
+    name = name or checkpoint.scenario.name
     case = Case(
-        f"{name}, {system}", name, checkpoint, held,
-        held.outcome(), held.outcome(checkpoint.values),
-    )  # fmt: skip
-    told = [n for n, spec in scenario.systems.items() if spec.clairvoyant and log is None]
-    table = compare(
-        scenario, {"published": None, "tuned": checkpoint}, trajectories, seed, log=log,
-        systems=tuple(dict.fromkeys([system, *told])), engine=engine,
-    )  # fmt: skip
-    found = changes(checkpoint, held_out, engine=engine)
-    stressed = list(
-        stress(scenario, filter, held.log, checkpoint.values,
-               temperature=checkpoint.temperature, engine=engine)
-    )  # fmt: skip
-    text = advice(table, system, found, stressed)
-    report.heading(f"{case.name}: {text.partition('.')[0]}")
-    report.verdict(case.name, text)
-    report.text(text)
-    _world(report, case)
-    report.heading("Published against tuned, held out", 3)
-    report.text(_data(case, held_out.trajectories, None if log is not None else seed))
-    report.comparison(f"{case.slug} held out", table)
-    write_changes(report, case, found)
-    write_trust(report, case, seed)
-    _stress(report, case, stressed)
-    write_contest(report, case, train, seeds, progress)
-    return text
-
-
-def advice(
-    table: Comparison, system: str, found: Sequence[Change], stressed: Sequence[Stressed]
-) -> str:
-    """What the numbers say to somebody who has to decide."""
-    row, before = table.row(system, "tuned"), table.row(system, "published")
-    low, high = row.ratio_ci95
-    risks = [
-        f"{x.condition} {x.level:g} ({100 * (x.ratio[0] - 1):+.0f} %)"
-        for x in stressed if x.ratio[0] > WORSE and x.ratio[1] > 1.0
-    ]  # fmt: skip
-    fair = honest(row.nees_per_state)
-    mended = fair and not honest(before.nees_per_state)
-    care = "Adopt with care" if risks or not fair else "Adopt the tuned values"
-    gain = f"RMSE {row.rmse:.3g} m, {row.ratio:.3f} of the published values' ({low:.3f}-{high:.3f})"
-    if high < 1.0:
-        first = f"{care}. Held out the tuned values win"
-    elif mended and row.ratio <= WORSE:
-        first = f"{care} for their covariance. Held out the errors are not surely smaller"
-    elif low > 1.0:
-        first = "Keep the published values. Held out the tuned ones lose"
-    else:
-        first = "Keep the published values. Held out, tuning wins nothing that is sure"
-    parts = [f"{first}: {gain}"]
-    nees = (
-        f"NEES per state {row.nees_per_state:.2f}, published {before.nees_per_state:.3g} "
-        "(1 is honest)"
+        f"{name}, {checkpoint.system}", name, checkpoint, found.held, found.published, found.tuned
     )
-    if not fair:
-        nees += ", so that the covariance must not be trusted"
-    parts.append(nees)
-    if risks:
-        parts.append(f"they are worse than the published ones under {', '.join(risks)}")
-    spare = [change.name for change in found if change.keep]
-    if spare:
-        parts.append(f"at its published value costs nothing: {', '.join(spare)}")
-    return "; ".join(parts) + "."
+    worth = changes(checkpoint, found.held.log, engine=found.held.chosen, tuned=found.tuned)
+    made = replace(found.grade, spare=tuple(change.name for change in worth if change.keep))
+    found = replace(found, grade=made)
+    report.heading(case.name)
+    report.verdict(case.name, made.text, found.as_dict() | {"page": "report.html"})
+    report.card(made.word, summary(found))
+    if made.terms:
+        _terms(report, case, found)
+    with report.folded("Held out"):
+        report.text(_data(case, found.held.log.trajectories, None if log is not None else seed))
+        _table(report, case, found, trajectories, seed, log)
+        _world(report, case)
+    with report.folded("Consistency by direction, and conditions that nobody tuned on"):
+        _directions(report, case, found)
+        _stress(report, case, found.stressed)
+    with report.folded("What changed, and what each change is worth"):
+        write_changes(report, case, worth)
+    with report.folded("Is it trustworthy?"):
+        write_trust(report, case, seed)
+    with report.folded("Is the gradient worth it?"):
+        write_contest(report, case, train, seeds, progress)
+    return made.text
+
+
+def summary(found: Evidence) -> list[tuple[str, str]]:
+    """The first screen: gain, consistency by direction, worst condition, what to do."""
+    before, after = found.table.rows
+    low, high = after.ratio_ci95
+    rows = [
+        ("RMSE held out", f"{digits(before.rmse, 3)} m published, {digits(after.rmse, 3)} m tuned: "
+         f"ratio {after.ratio:.3f} (95 %: {low:.3f} to {high:.3f})"),
+        ("NEES by direction", _listed(found.tuned.directions) + " (1 is right; published "
+         + _listed(found.published.directions, names=False) + ")"),
+    ]  # fmt: skip
+    tried = [one for one in found.stressed if one.decisive]
+    if tried:
+        worst = max(tried, key=lambda one: one.ratio[0])
+        ratio, low, high = worst.ratio
+        text = f"{worst.text}: ratio {ratio:.3g} ({low:.3g} to {high:.3g}); {worst.plausible}"
+        rows.append(("Worst condition", text))
+    rows.append(("What to do", _todo(found)))
+    return rows
+
+
+def write_index(report: Report, judged: Mapping[str, Mapping[str, Any]]) -> None:
+    """One table, a row per checkpoint, the best grade first; each leads to its page."""
+    order = sorted(
+        judged.items(), key=lambda item: (GRADES.index(item[1]["grade"]), item[1]["ratio"])
+    )
+    head = ["checkpoint", "grade", "RMSE ratio", "95 % interval", "NEES by direction",
+            "worst condition", "its ratio"]  # fmt: skip
+    rows = []
+    for name, data in order:
+        tried = [one for one in data["conditions"] if one["decisive"]]
+        worst = max(tried, key=lambda one: one["ratio"][0], default=None)
+        low, high = data["ratio_ci95"]
+        nees = data["nees_by_direction"]["tuned"].values()
+        rows.append([
+            name, data["grade"], digits(data["ratio"], 3), f"{low:.3f} to {high:.3f}",
+            ", ".join(digits(value, 2) for value in nees),
+            worst["name"] if worst else "", digits(worst["ratio"][0], 3) if worst else "",
+        ])  # fmt: skip
+    report.index(head, rows, [data["page"] for _, data in order])
+
+
+def _todo(found: Evidence) -> str:
+    made = found.grade
+    if made.word == "adopt":
+        return "adopt the tuned values"
+    if made.word == "keep":
+        return f"keep the published values: {made.why.partition(';')[0]}"
+    keep = sorted({name for term in made.terms for name in term.keep})
+    told = f"adopt them if the {len(made.terms)} conditions below hold"
+    return told + (f", or keep {', '.join(keep)} as published and tune the rest" if keep else "")
+
+
+def _terms(report: Report, case: Case, found: Evidence) -> None:
+    head = ["condition, or what was found", "what it costs", "monitor", "keep as published",
+            "plausible"]  # fmt: skip
+    rows = [
+        [term.text, term.cost, term.monitor, ", ".join(term.keep), term.plausible]
+        for term in found.grade.terms
+    ]
+    report.table(f"{case.slug} terms", head, rows)
+
+
+def _listed(found: Mapping[str, float], names: bool = True) -> str:
+    return ", ".join(
+        f"{name} {digits(value, 2)}" if names else digits(value, 2) for name, value in found.items()
+    )
+
+
+def _table(
+    report: Report, case: Case, found: Evidence, trajectories: int, seed: int, log: Log | None
+) -> None:
+    scenario, checkpoint = case.checkpoint.scenario, case.checkpoint
+    told = [n for n, spec in scenario.systems.items() if spec.clairvoyant and log is None]
+    table = found.table
+    named = [replace(row, system=checkpoint.system) for row in table.rows]
+    if told:
+        more = compare(
+            scenario, {"published": None}, trajectories, seed, systems=tuple(told),
+            engine=case.held.chosen,
+        )  # fmt: skip
+        base = table.rows[0].rmse
+        named += [replace(r, ratio=r.rmse / base, ratio_ci95=_nothing(r, base)) for r in more.rows]
+        report.text(
+            f"{' and '.join(told)}: told of every fault, with the published noise. No bound: "
+            "tuned noise may well do better."
+        )
+    label = f"{checkpoint.system} published"
+    report.comparison(f"{case.slug} held out", replace(table, rows=tuple(named), reference=label))
+
+
+def _nothing(row: Any, base: float) -> tuple[float, float]:
+    return (row.ci95[0] / base, row.ci95[1] / base)
 
 
 def _world(report: Report, case: Case) -> None:
@@ -150,24 +199,33 @@ def _data(case: Case, count: int, seed: int | None) -> str:
     )
 
 
-def _stress(report: Report, case: Case, found: Sequence[Stressed]) -> None:
-    report.heading("Beyond what it was tuned on", 3)
-    caption = "Held-out RMSE under conditions that nobody tuned for"
-    report.figure(stress_figure(found), f"{case.slug}-stress", caption)
-    head = ["condition", "level", "published (m)", "tuned (m)", "tuned / published",
-            "95 % interval", "NEES published", "NEES tuned"]  # fmt: skip
+def _directions(report: Report, case: Case, found: Evidence) -> None:
     rows = [
-        [x.condition, f"{x.level:g}", x.published, x.tuned, x.ratio[0], x.ratio[1:], *x.nees]
-        for x in found
+        [name, found.published.directions.get(name), value]
+        for name, value in found.tuned.directions.items()
     ]
-    report.table(f"{case.slug} stress", head, rows)
-    held = case.held
-    grid = stress_grid(
-        held.scenario, held.filter, held.log, case.checkpoint.values,
-        temperature=held.temperature, engine=held.engine,
-    )  # fmt: skip
-    caption = (
-        "Noise and outliers together. Colour and numbers: RMSE of tuned by that of published "
-        "values, blue where tuned ones are better; contours: RMSE of the published values"
-    )
-    report.figure(grid_figure(grid), f"{case.slug}-grid", caption)
+    report.text("NEES along the principal directions of P: 1 where errors are as large as claimed.")
+    report.table(f"{case.slug} directions", ["direction", "published", "tuned"], rows)
+
+
+def _stress(report: Report, case: Case, found: Sequence[Stressed]) -> None:
+    head = ["condition", "plausible", "published (m)", "tuned (m)", "tuned / published",
+            "95 % interval", "NEES published", "NEES tuned", "largest NEES along a direction",
+            "counts"]  # fmt: skip
+    rows = [
+        [
+            x.text, x.plausible, x.published, x.tuned, x.ratio[0], x.ratio[1:], *x.nees,
+            max((after for _, after in x.directions.values()), default=None),
+            _counts(x),
+        ]
+        for x in found
+    ]  # fmt: skip
+    report.table(f"{case.slug} conditions", head, rows)
+
+
+def _counts(one: Stressed) -> str:
+    if not one.decisive:
+        return "shown only"
+    if not harmful(one):
+        return ""
+    return "misleads" if misled(one) and one.ratio[1] <= 1.1 else "worse"

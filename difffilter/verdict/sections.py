@@ -36,7 +36,6 @@ class Case:
 
 def write_changes(report: Report, case: Case, found: Sequence[Change]) -> None:
     """Every tuned value before and after, and each reverted alone."""
-    report.heading("What changed, and what each change is worth", 3)
     rows = []
     for change in found:
         unit, factor = change.given or (change.unit, 1.0)
@@ -65,7 +64,6 @@ def write_changes(report: Report, case: Case, found: Sequence[Change]) -> None:
 
 def write_trust(report: Report, case: Case, seed: int) -> None:
     """Consistency over time, whiteness, and what is done to clean measurements."""
-    report.heading("Is it trustworthy?", 3)
     tracks = {"published": case.published.track, "tuned": case.tuned.track}
     caption = (
         "NEES and NIS over time (band: the mean of a consistent filter in 95 %), and the "

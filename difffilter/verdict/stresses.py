@@ -1,177 +1,286 @@
-"""Conditions that nobody tuned for: more noise, more outliers, dropouts, a wrong start."""
+"""Conditions that nobody tuned for: manoeuvres, noise, faults, a wrong start, other rates."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 
-from difffilter.comparison.held_out import HeldOut, Outcome
-from difffilter.filters.recipe import Recipe
-from difffilter.logs.log import Log, Start
+from difffilter.comparison.held_out import HeldOut
+from difffilter.errors import InputError
+from difffilter.filters.filter import Filter
+from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.case import Case
-from difffilter.scoring.truth import measurement_errors, nominal_sigma
-from difffilter.seeds import stream
+from difffilter.scenario.families import family
+from difffilter.scenario.scenario import Scenario
+from difffilter.scenario.worlds import BASE, WorldSpec, changed
+from difffilter.verdict import changed_logs as change
 
-__all__ = ["CONDITIONS", "Grid", "Stressed", "stress", "stress_grid"]
+__all__ = ["CONDITIONS", "NOT_STATED", "Condition", "Stressed", "conditions", "stress"]
 
-#: Levels of each condition; the log as it is among them.
-CONDITIONS: Mapping[str, tuple[str, tuple[float, ...]]] = {
-    "noise": ("times the noise", (0.5, 1.0, 1.5, 2.0, 3.0)),
-    "outliers": ("share of measurements off by 5 to 20 sigma", (0.0, 0.05, 0.1, 0.2, 0.4)),
-    "dropouts": ("share of measurements missing", (0.0, 0.2, 0.4, 0.6)),
-    "start": ("sigmas by which each state of the start is off", (0.0, 1.0, 2.0, 3.0)),
-}
-#: Inputs of simulated logs that tell what faults did.
-FAULTS = ("fault.mean", "fault.variance")
+#: Plausibility of a condition of which the scenario says nothing.
+NOT_STATED = "not stated"
+#: deg/s of a turn, at least; and times the sharpest turn of the world.
+TURN, SHARPER = 3.0, 4.0
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One way in which the world may differ from the one that was tuned on.
+
+    Attributes:
+        name: short, of the trade.
+        text: in plain words.
+        monitor: what tells in operation that it holds.
+        plausible: why it may happen, or ``NOT_STATED``.
+        decisive: whether it alone can forbid a plain adopt; else it is shown.
+        log: makes the log from the held-out one, before the start.
+        start: changes the started log.
+        case: whose start and score count; None for that of the held-out data.
+    """
+
+    name: str
+    text: str
+    monitor: str
+    plausible: str = NOT_STATED
+    decisive: bool = True
+    log: Callable[[Log], Log] = lambda log: log
+    start: Callable[[Log], Log] = lambda log: log
+    case: Case | None = None
 
 
 @dataclass(frozen=True)
 class Stressed:
-    """Two sets of values under one condition at one level.
+    """Two sets of values under one condition.
 
     Attributes:
-        condition, level: see ``CONDITIONS``.
+        name, text, monitor, plausible, decisive: of the :class:`Condition`.
         published, tuned: position RMSE, m; nees: of both, per state.
         ratio: tuned / published, with its paired 95 % interval.
+        directions: NEES of published and tuned along each principal direction of P.
     """
 
-    condition: str
-    level: float
+    name: str
+    text: str
+    monitor: str
+    plausible: str
+    decisive: bool
     published: float
     tuned: float
     nees: tuple[float, float]
     ratio: tuple[float, float, float]
+    directions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**vars(self), "directions": dict(self.directions)}
 
 
-def stress(
-    scenario: Case,
-    filter: Recipe,
-    log: Log,
-    tuned: Values,
-    *,
-    temperature: float | None = None,
-    seed: int = 0,
-    engine: str = "auto",
-) -> Iterator[Stressed]:
-    """Published and tuned values on a log changed condition by condition.
+#: Those that are made of the log alone: name, text, what tells, and the change.
+CONDITIONS: tuple[tuple[str, str, str, Callable[[Filter, Log, float, int], Log], float], ...] = (
+    ("noise halved", "half the measurement noise", "the spread of the innovations",
+     change.noisier, 0.5),
+    ("noise doubled", "twice the measurement noise", "the spread of the innovations",
+     change.noisier, 2.0),
+    ("correlated errors", "errors correlated by 0.8 from row to row, in place of white ones",
+     "the correlation of successive innovations", change.correlated, change.CORRELATION),
+    ("a channel lost", "one channel missing at any time, each third another",
+     "the share of missing measurements", change.losing_channels, 0.0),
+    ("half the rate", "every second measurement of each channel missing", "the rate of rows",
+     change.sparser, 0.0),
+    ("twice the rate", "a row between any two", "the rate of rows", change.denser, 0.0),
+)  # fmt: skip
+OUTLIERS = ((0.05, "outliers"), (0.1, "outliers doubled"))
+MONITOR_MANOEUVRE = "the mean of the innovations over 10 rows: it leaves 0 in a manoeuvre"
+MONITOR_FAULTS = "the share of measurements with a weight below 0.1"
 
-    Noise and outliers are added in the sigmas of the published values. Noise below 1 scales
-    the error of every measurement whose truth is known: in simulated logs of those that no
-    fault struck, in recordings, where nobody knows, of all.
+
+def stress(held: HeldOut, tuned: Values, found: list[Condition] | None = None) -> (
+    Iterator[Stressed]
+):  # fmt: skip
+    """Published and tuned values under each condition.
 
     Args:
-        log: held out, with truth.
+        held: out, with truth.
+        found: conditions; by default all that :func:`conditions` finds.
     """
-    for name, (_, levels) in CONDITIONS.items():
-        for level in levels:
-            changed = _CHANGE[name](filter, log, level, seed)
-            held = HeldOut(scenario, filter, changed, temperature, engine)
-
-            def start(ready: Log, off: float = level * (name == "start")) -> Log:
-                return _moved(filter, ready, off, seed)
-
-            yield _stressed(name, level, held.outcome(None, start), held.outcome(tuned, start))
+    for condition in conditions(held) if found is None else found:
+        yield stressed(held, condition, tuned)
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Two sets of values over noise (rows) and outliers (columns).
+def stressed(held: HeldOut, condition: Condition, tuned: Values) -> Stressed:
+    """Published and tuned values under one condition, over the rows that both have."""
+    there = under(held, condition)
+    published, other = (there.outcome(v, condition.start) for v in (None, tuned))
+    both = published.rows & other.rows
+    error = [float(x.squared[both].mean().sqrt()) for x in (published, other)]
+    return Stressed(
+        **{n: getattr(condition, n) for n in ("name", "text", "monitor", "plausible", "decisive")},
+        published=error[0], tuned=error[1], nees=(published.nees, other.nees),
+        ratio=other.ratio(published),
+        directions={
+            name: (published.directions.get(name, math.nan), value)
+            for name, value in other.directions.items()
+        },
+    )  # fmt: skip
 
-    Attributes:
-        noise, outliers: levels, as in ``CONDITIONS``.
-        published: position RMSE of the published values, m.
-        ratio: tuned / published.
+
+def under(held: HeldOut, condition: Condition) -> HeldOut:
+    """The held-out data as a condition changes them."""
+    log = condition.log(held.log).only(held.filter.channels)
+    case = condition.case or held.scenario
+    return replace(held, log=log, scenario=case, engine=held.chosen)
+
+
+def conditions(held: HeldOut, seed: int = 0, trajectories: int = 100) -> list[Condition]:
+    """What is tested: the scenario's own worlds, then what every log can be changed into.
+
+    No condition stands twice: a world that the scenario states takes the place of its like.
+
+    Args:
+        held: the data; its first trajectories are changed.
+        trajectories: of each condition, at most.
     """
-
-    noise: tuple[float, ...]
-    outliers: tuple[float, ...]
-    published: tuple[tuple[float, ...], ...]
-    ratio: tuple[tuple[float, ...], ...]
-
-
-def stress_grid(
-    scenario: Case,
-    filter: Recipe,
-    log: Log,
-    tuned: Values,
-    *,
-    temperature: float | None = None,
-    seed: int = 0,
-    engine: str = "auto",
-) -> Grid:
-    """Published and tuned values under noise and outliers together; as :func:`stress`."""
-    noise, outliers = CONDITIONS["noise"][1], CONDITIONS["outliers"][1]
-    rows = []
-    for level in noise:
-        noisier = _noisier(filter, log, level, seed)
-        for share in outliers:
-            changed = _wilder(filter, noisier, share, seed)
-            held = HeldOut(scenario, filter, changed, temperature, engine)
-            rows.append(_stressed("grid", share, held.outcome(), held.outcome(tuned)))
-    lines = [rows[i : i + len(outliers)] for i in range(0, len(rows), len(outliers))]
-    return Grid(
-        noise,
-        outliers,
-        tuple(tuple(x.published for x in line) for line in lines),
-        tuple(tuple(x.ratio[0] for x in line) for line in lines),
-    )
-
-
-def _stressed(name: str, level: float, published: Outcome, tuned: Outcome) -> Stressed:
-    """Both over the rows that both have."""
-    both = published.rows & tuned.rows
-    error = [float(x.squared[both].mean().sqrt()) for x in (published, tuned)]
-    nees = (published.nees, tuned.nees)
-    return Stressed(name, level, error[0], error[1], nees, tuned.ratio(published))
-
-
-def _noisier(filter: Recipe, log: Log, level: float, seed: int) -> Log:
-    log = log.only(filter.channels)
-    if level < 1.0:
-        errors = measurement_errors(filter, log).nan_to_num()
-        if FAULTS[0] in log.inputs:  # simulated: which measurements are struck is known
-            mean, variance = (log.inputs[name] for name in FAULTS)
-            errors = torch.where((mean != 0.0) | (variance != 0.0), 0.0, errors)
-        return replace(log, z=log.z - (1.0 - level) * errors)
-    draw = torch.randn(log.z.shape, generator=stream(seed, "noise"), dtype=log.z.dtype)
-    return replace(log, z=log.z + (level**2 - 1.0) ** 0.5 * nominal_sigma(filter, log) * draw)
-
-
-def _wilder(filter: Recipe, log: Log, level: float, seed: int) -> Log:
-    log = log.only(filter.channels)
-    generator = stream(seed, "outliers")
-    shape = log.z.shape
-    hit = torch.rand(shape, generator=generator) < level
-    size = 5.0 + 15.0 * torch.rand(shape, generator=generator, dtype=log.z.dtype)
-    sign = torch.where(torch.rand(shape, generator=generator) < 0.5, -1.0, 1.0)
-    return replace(log, z=torch.where(hit, log.z + sign * size * nominal_sigma(filter, log), log.z))
-
-
-def _sparser(filter: Recipe, log: Log, level: float, seed: int) -> Log:
-    log = log.only(filter.channels)
-    gone = torch.rand(log.z.shape, generator=stream(seed, "dropouts")) < level
-    return replace(log, z=torch.where(gone, torch.nan, log.z))
-
-
-def _moved(filter: Recipe, log: Log, level: float, seed: int) -> Log:
-    """The started log, its start off by ``level`` sigmas in each state, either way."""
-    start = log.start
-    assert start is not None
-    if start.covariance is None:
-        sigma = filter.prepare()["start.sigma"].expand(start.mean.shape[-1])
+    filter = held.filter
+    found = [*_worlds(held.scenario, filter, seed, trajectories)]
+    if held.log.z.dim() > 2 and held.log.trajectories > trajectories:
+        few: Callable[[Log], Log] = lambda log: log.select(range(trajectories))  # noqa: E731
     else:
-        sigma = start.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
-    draw = torch.rand(start.mean.shape, generator=stream(seed, "start"), dtype=start.mean.dtype)
-    mean = start.mean + level * torch.where(draw < 0.5, -sigma, sigma)
-    return replace(log, start=Start(mean, start.covariance, start.time))
+        few = lambda log: log  # noqa: E731
+    found += _manoeuvres(held, few(held.log))
+    for name, text, monitor, make, level in CONDITIONS:
+        changing = _changing(make, filter, few, level, seed)
+        if not torch.equal(changing(held.log).z.nan_to_num(), few(held.log).z.nan_to_num()):
+            found.append(Condition(name, text, monitor, log=changing))
+    found.append(
+        Condition("start off", "a start off by three sigmas in every state",
+                  "NIS in the first rows", log=few,
+                  start=lambda log: change.moved_start(filter, log, 3.0, seed))
+    )  # fmt: skip
+    if not (isinstance(held.scenario, Scenario) and held.scenario.faults):
+        for share, name in OUTLIERS:
+            text = f"{100 * share:g} % of the measurements off by 5 to 20 sigmas"
+            wild = _changing(change.wilder, filter, few, share, seed)
+            found.append(Condition(name, text, MONITOR_FAULTS, decisive=False, log=wild))
+    return found
 
 
-_CHANGE: Mapping[str, Callable[[Recipe, Log, float, int], Log]] = {
-    "noise": _noisier,
-    "outliers": _wilder,
-    "dropouts": _sparser,
-    "start": lambda filter, log, level, seed: log.only(filter.channels),
-}
+def _changing(
+    make: Callable[[Filter, Log, float, int], Log],
+    filter: Filter,
+    few: Callable[[Log], Log],
+    level: float,
+    seed: int,
+) -> Callable[[Log], Log]:
+    return lambda log: make(filter, few(log), level, seed)
+
+
+def _manoeuvres(held: HeldOut, log: Log) -> list[Condition]:
+    """Accelerations and a turn; none where the truth does not tell every state."""
+    filter = held.filter
+    try:
+        usual = change.sustained(filter, log.only(filter.channels))
+    except InputError:
+        return []
+    except ValueError:  # a state without a velocity: nothing to push
+        return []
+    if not (math.isfinite(usual) and usual > 0.0):
+        return []
+
+    def pushed(times: float, across: bool) -> Callable[[Log], Log]:
+        return lambda _: change.pushed(filter, log, times * usual, across)
+
+    found = []
+    ways = ("along", "across") if "y" in filter.states else ("along",)
+    for way in ways:
+        for times, word in ((2.0, "twice"), (4.0, "four times")):
+            text = f"accelerations {way} the path, {times * usual:.2g} m/s^2 for ten rows each "
+            text += f"way: {word} what the truth sustains"
+            found.append(
+                Condition(f"{word} the acceleration {way}", text, MONITOR_MANOEUVRE,
+                          decisive=times < 4.0, log=pushed(times, way == "across"))
+            )  # fmt: skip
+    if "y" in filter.states:
+        rate = max(TURN, SHARPER * _sharpest(held.scenario))
+        found.append(
+            Condition("a turn", f"weaving at {rate:g} deg/s, 60 degrees to either side",
+                      MONITOR_MANOEUVRE,
+                      log=lambda _: change.turned(filter, log, math.radians(rate)))
+        )  # fmt: skip
+    return found
+
+
+def _sharpest(case: Case) -> float:
+    """deg/s of the sharpest turn of a simulated world."""
+    segments = getattr(case.world, "segments", ())
+    return max((abs(math.degrees(part.turn_rate)) for part in segments), default=0.0)
+
+
+def _worlds(case: Case, filter: Filter, seed: int, trajectories: int) -> Iterator[Condition]:
+    """Worlds that a scenario states, then its faults off, halved and doubled."""
+    if not isinstance(case, Scenario) or case.world is None:
+        return
+    stated = [spec for spec in case.worlds if not spec.logs and spec.name != BASE]
+    known = [_truth(changed(case, spec)) for spec in stated]
+    for text, factor in (("off", 0.0), ("halved", 0.5), ("doubled", 2.0)):
+        times = {
+            f"faults.{name}.probability": factor
+            for name in case.faults
+            if "probability" in dict(case.document["faults"][name])
+        }
+        if factor == 0.0:
+            off = replace(case, faults={}, worlds=())
+            if case.faults and not any(_truth(off) == one or not one[1] for one in known):
+                yield _simulated(case, off, WorldSpec("faults off", plausible=NOT_STATED), seed,
+                                 trajectories)  # fmt: skip
+        elif times:
+            spec = WorldSpec(f"faults {text}", plausible=NOT_STATED, times=times)
+            if _truth(changed(case, spec)) not in known:
+                yield _simulated(case, changed(case, spec), spec, seed, trajectories)
+    for member in family(case):
+        if member.name != BASE:
+            spec = next(one for one in stated if one.name == member.name)
+            log = member.log(trajectories, seed, "test")
+            yield Condition(
+                member.name, f"world {member.name}", _telling(spec),
+                member.plausible or NOT_STATED, log=_always(log), case=changed(case, spec),
+            )  # fmt: skip
+
+
+def _simulated(
+    case: Scenario, world: Scenario, spec: WorldSpec, seed: int, trajectories: int
+) -> Condition:
+    from difffilter.scenario.simulation import simulate
+
+    log = simulate(world, trajectories, seed, f"test:{spec.name}")
+    text = f"the world's {spec.name}"
+    return Condition(spec.name, text, MONITOR_FAULTS, log=_always(log), case=world)
+
+
+def _always(log: Log) -> Callable[[Log], Log]:
+    return lambda _: log
+
+
+def _truth(world: Scenario) -> tuple[Any, ...]:
+    """What two worlds that are the same share."""
+    struck = {n: f for n, f in world.faults.items() if f.probability > 0.0}
+    return (world.world, struck, world.start, _noise(world))
+
+
+def _noise(world: Scenario) -> Any:
+    return {name: (sensor.sigma, str(sensor)) for name, sensor in world.sensors.items()}
+
+
+def _telling(spec: WorldSpec) -> str:
+    keys = " ".join((*spec.overrides, *spec.times))
+    if "faults" in keys:
+        return MONITOR_FAULTS
+    if "acceleration" in keys or "segments" in keys or "velocity" in keys:
+        return MONITOR_MANOEUVRE
+    if "start" in keys:
+        return "NIS in the first rows"
+    return "NIS per channel: it leaves its usual value"

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from difffilter.comparison.held_out import HeldOut
+from difffilter.comparison.held_out import HeldOut, Outcome
 from difffilter.logs.log import Log
 from difffilter.scenario.checkpoint import Checkpoint
 
@@ -48,11 +48,14 @@ class Change:
         return dict(vars(self)) | {"sigmas": self.sigmas()}
 
 
-def changes(checkpoint: Checkpoint, log: Log, *, engine: str = "auto") -> list[Change]:
+def changes(
+    checkpoint: Checkpoint, log: Log, *, engine: str = "auto", tuned: Outcome | None = None
+) -> list[Change]:
     """Each tuned parameter of a checkpoint, reverted alone on held-out trajectories.
 
     Args:
         log: held out, with truth; started for each set of values as in a comparison.
+        tuned: what the tuned values gave there, where that is known.
 
     Raises:
         InputError: a log without truth.
@@ -60,7 +63,7 @@ def changes(checkpoint: Checkpoint, log: Log, *, engine: str = "auto") -> list[C
     filter = checkpoint.published_filter
     errors = checkpoint.training.get("standard_errors", {})
     held = HeldOut(checkpoint.scenario, filter, log, checkpoint.temperature, engine)
-    tuned = held.outcome(checkpoint.values)
+    tuned = held.outcome(checkpoint.values) if tuned is None else tuned
     found = []
     for name, parameter in filter.declarations.items():
         if not parameter.tuned:
