@@ -22,8 +22,9 @@ from typing import Any, TextIO
 from tqdm import tqdm
 
 from difffilter.files import json_text, write_atomically
-from difffilter.reports.page import END, START, page, paragraph
-from difffilter.reports.report import HELD
+from difffilter.reports.page import page
+from difffilter.reports.report import HELD, Report
+from difffilter.verdict.judge import write_index as write_table
 from training.common import ROOT, recordings
 
 EXPERIMENTS = {
@@ -142,42 +143,42 @@ def drive(command: list[str], log: TextIO, bar: tqdm) -> int:
 
 
 def write_index(folder: Path) -> Path:
-    """What to do about each scenario, and the claims: README.md, index.json, index.html."""
-    links, bodies, lines = [], [], []
+    """What to do about each checkpoint, and the claims: README.md, index.json, index.html.
+
+    One table, a row per checkpoint, the best grade first; experiments have pages of their own.
+    """
+    lines, pages = [], []
     advised: dict[str, str] = {}
+    judged: dict[str, dict[str, Any]] = {}
     claimed: dict[str, list[dict[str, Any]]] = {}
     for name in EXPERIMENTS:
-        parts = [folder / name / part for part in ("verdict", "verdict-recorded", ".")]
-        parts = [part for part in parts if (part / "report.json").is_file()]
+        parts = [
+            f"{name}/{part}".removesuffix("/.") for part in ("verdict", "verdict-recorded", ".")
+        ]
+        parts = [part for part in parts if (folder / part / "report.json").is_file()]
         if not parts:
             lines += [f"- {name}: no report (recordings absent, or the run failed)"]
             continue
-        links.append(f'<a href="#{name}">{name}</a>')
-        bodies.append(f'<h1 id="{name}">{name}</h1>')
         for part in parts:
-            found = json.loads((part / "report.json").read_text(encoding="utf-8"))
+            found = json.loads((folder / part / "report.json").read_text(encoding="utf-8"))
             advised |= found["verdicts"]
+            for case, data in found["judged"].items():
+                judged[case] = data | {"page": f"{part}/{data['page']}"}
             claimed.setdefault(name, []).extend(found["claims"])
-            whole = (part / "report.html").read_text(encoding="utf-8")
-            bodies.append(whole.partition(START)[2].partition(END)[0])
+        if parts[-1] == name:
+            pages.append(f'<a href="{name}/report.html">{name}</a>')
         lines += claims_of(name, claimed[name])
-    short = [emphasised(case, text) for case, text in advised.items()]
-    body = [f"<nav>{' '.join(links)}</nav>"]
-    if short:
-        body += ["<h2>In short</h2>", *map(paragraph, short)]
+    table = Report(folder, "Published against tuned")
+    write_table(table, judged)
     path = folder / "index.html"
-    write_atomically(path, page("Published against tuned", [*body, *bodies]))
-    data = json_text({"verdicts": advised, "claims": claimed})
+    body = [*table.body, "<h2>Experiments</h2>", f"<nav>{' '.join(pages)}</nav>"]
+    write_atomically(path, page("Published against tuned", body))
+    data = json_text({"verdicts": advised, "judged": judged, "claims": claimed})
     write_atomically(folder / "index.json", data + "\n")
+    short = [f"**{case}: {text.partition(':')[0]}.**" for case, text in advised.items()]
     text = "\n".join(["# Reports", "", *(f"- {line}" for line in short), "", *lines])
     write_atomically(folder / "README.md", text + "\n")
     return path
-
-
-def emphasised(case: str, text: str) -> str:
-    """The advice, its first words strong."""
-    advice, _, why = text.partition(".")
-    return f"**{case}: {advice}.** {why.strip()}"
 
 
 def claims_of(name: str, claims: list[dict[str, Any]]) -> list[str]:

@@ -81,6 +81,11 @@ class Report:
             self._data["judged"][name] = dict(data)
 
     @property
+    def body(self) -> list[str]:
+        """The page so far, for pages made of several."""
+        return list(self._body)
+
+    @property
     def verdicts(self) -> dict[str, str]:
         """The advice on each subject."""
         return dict(self._data["verdicts"])

@@ -29,19 +29,24 @@ def test_the_index_begins_with_what_to_do_and_counts_the_claims(
     report.claim("three", None, {"why": "the paper does not say"})
     report.write()
     verdict = Report(tmp_path / "airport-mlat" / "verdict", "Verdict")
-    verdict.verdict("airport-mlat, m-ekf", "Adopt the tuned values. Held out they win: so <much>.")
-    verdict.heading("The verdict's own section")
+    for name, grade in (("first, m-ekf", "keep"), ("second, m-ekf", "adopt")):
+        data = {
+            "grade": grade, "ratio": 0.9, "ratio_ci95": [0.8, 1.0], "conditions": [],
+            "nees_by_direction": {"tuned": {"position": 1.0}}, "page": "report.html",
+        }  # fmt: skip
+        verdict.verdict(name, f"{grade.capitalize()}: so <much>.", data)
     verdict.write()
     page = reproduce.write_index(tmp_path).read_text(encoding="utf-8")
-    first = "<strong>airport-mlat, m-ekf: Adopt the tuned values.</strong> Held out they win"
-    assert page.index("In short") < page.index(first) < page.index("The verdict&#x27;s own section")
-    assert "so &lt;much&gt;." in page
+    assert page.index("second, m-ekf") < page.index("first, m-ekf") < page.index("Experiments")
+    assert 'href="airport-mlat/verdict/report.html"' in page
+    assert 'href="airport-mlat/report.html"' in page
+    assert '<span class="keep">keep</span>' in page
     text = (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "[airport-mlat](airport-mlat/report.md): 1 of 2 claims held, 1 cannot be checked" in text
     assert "  - not held: two" in text
     assert "- uwb-ranges: no report" in text
     data = json.loads((tmp_path / "index.json").read_text(encoding="utf-8"))
-    assert list(data["verdicts"]) == ["airport-mlat, m-ekf"]
+    assert list(data["judged"]) == ["first, m-ekf", "second, m-ekf"]
     assert [claim["held"] for claim in data["claims"]["airport-mlat"]] == [True, False, None]
 
 
