@@ -105,7 +105,15 @@ def gather(
     }
     merged = red.merged(found)
     made = grade(table.rows[0], table.rows[1], merged, results, cures)
-    return Evidence(held, before, after, table, tuple(merged), tuple(results), made)
+    return Evidence(
+        held=held,
+        published=before,
+        tuned=after,
+        table=table,
+        flags=tuple(merged),
+        stressed=tuple(results),
+        grade=made,
+    )
 
 
 def red_flags(
