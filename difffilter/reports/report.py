@@ -116,7 +116,7 @@ class Report:
         None
     ):  # fmt: skip
         """A table whose first cells lead to pages of their own."""
-        self._lines += [_line(head), "|" + "---|" * len(head), *map(_line, rows), ""]
+        self._lines += [*markdown_table(head, rows), ""]
         self._body.append(page.index(head, rows, links))
 
     def text(self, text: str) -> None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import PER_CHANNEL, Log, Start
 from difffilter.motions.blocks import AXES
 from difffilter.scoring.truth import measurement_errors, true_states
@@ -39,7 +39,7 @@ ROWS = 10
 CORRELATION = 0.8
 
 
-def unstruck(filter: Filter, log: Log) -> Tensor:
+def unstruck(filter: Recipe, log: Log) -> Tensor:
     """(T, ..., m), errors of the measurements; NaN where missing or where a fault struck.
 
     In recordings, where nobody knows what was struck, those of all.
@@ -51,13 +51,13 @@ def unstruck(filter: Filter, log: Log) -> Tensor:
     return errors
 
 
-def noisier(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def noisier(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """Errors that no fault struck, times ``level``."""
     log = log.only(filter.channels)
     return replace(log, z=log.z + (level - 1.0) * unstruck(filter, log).nan_to_num())
 
 
-def wilder(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def wilder(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """A share ``level`` of the measurements off by 5 to 20 spreads of their errors."""
     log = log.only(filter.channels)
     generator = stream(seed, "outliers")
@@ -70,7 +70,7 @@ def wilder(filter: Filter, log: Log, level: float, seed: int) -> Log:
     return replace(log, z=torch.where(hit, log.z + sign * size * spread, log.z))
 
 
-def correlated(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def correlated(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """White errors e replaced by c_k = r c_{k-1} + sqrt(1 - r^2) e_k, of the same variance."""
     log = log.only(filter.channels)
     errors = unstruck(filter, log)
@@ -86,7 +86,7 @@ def correlated(filter: Filter, log: Log, level: float, seed: int) -> Log:
     return replace(log, z=log.z + change)
 
 
-def losing_channels(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def losing_channels(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """One channel missing at any time, another in each third; of one channel the middle third."""
     log = log.only(filter.channels)
     count = len(log.channels)
@@ -100,14 +100,14 @@ def losing_channels(filter: Filter, log: Log, level: float, seed: int) -> Log:
     return replace(log, z=torch.where(gone, torch.nan, log.z))
 
 
-def sparser(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def sparser(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """Every second measurement of each channel missing."""
     log = log.only(filter.channels)
     odd = log.present.cumsum(0) % 2 == 1
     return replace(log, z=torch.where(odd, log.z, torch.nan))
 
 
-def denser(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def denser(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """A row between any two: the truth half-way, with the errors of another run or row."""
     log = log.only(filter.channels)
     assert log.truth is not None
@@ -137,7 +137,7 @@ def denser(filter: Filter, log: Log, level: float, seed: int) -> Log:
     )  # fmt: skip
 
 
-def moved_start(filter: Filter, log: Log, level: float, seed: int) -> Log:
+def moved_start(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """The started log, its start off by ``level`` sigmas in each state, either way."""
     start = log.start
     assert start is not None
@@ -150,7 +150,7 @@ def moved_start(filter: Filter, log: Log, level: float, seed: int) -> Log:
     return replace(log, start=Start(mean, start.covariance, start.time))
 
 
-def sustained(filter: Filter, log: Log) -> float:
+def sustained(filter: Recipe, log: Log) -> float:
     """m/s^2, RMS of the truth's accelerations over ``ROWS`` rows; of one that never has any,
     what the published process noise allows in one row."""
     states = true_states(filter, log)
@@ -167,7 +167,7 @@ def sustained(filter: Filter, log: Log) -> float:
     return level if level > 0.01 * float(allowed) else float(allowed)
 
 
-def pushed(filter: Filter, log: Log, size: float, across: bool) -> Log:
+def pushed(filter: Recipe, log: Log, size: float, across: bool) -> Log:
     """The truth with an acceleration of ``size`` along or across the path: + - - + in turn.
 
     Each lasts ``ROWS`` rows: after four the path is where it was. Errors stay as they are.
@@ -186,7 +186,7 @@ def pushed(filter: Filter, log: Log, size: float, across: bool) -> Log:
     return _displaced(filter, log, (before * dt + 0.5 * push * dt.square()).cumsum(0), velocity)
 
 
-def turned(filter: Filter, log: Log, rate: float) -> Log:
+def turned(filter: Recipe, log: Log, rate: float) -> Log:
     """The truth weaving at ``rate`` rad/s, up to 60 degrees to either side; two axes or more."""
     log = log.only(filter.channels)
     time = _time(log)
@@ -205,7 +205,7 @@ def turned(filter: Filter, log: Log, rate: float) -> Log:
     return _displaced(filter, log, (0.5 * (before + shift) * dt).cumsum(0), shift)
 
 
-def _displaced(filter: Filter, log: Log, position: Tensor, velocity: Tensor) -> Log:
+def _displaced(filter: Recipe, log: Log, position: Tensor, velocity: Tensor) -> Log:
     """The log of a truth moved by these, (T, ..., axes) each, with the errors it had."""
     assert log.truth is not None
     truth = log.truth.clone()
@@ -223,7 +223,7 @@ def _displaced(filter: Filter, log: Log, position: Tensor, velocity: Tensor) -> 
     return replace(moved, z=torch.cat(parts, -1))
 
 
-def _predicted(filter: Filter, log: Log) -> Tensor:
+def _predicted(filter: Recipe, log: Log) -> Tensor:
     states, constants = true_states(filter, log), filter.prepare()
     return torch.cat([s.predict(states, log.inputs, constants) for s in filter.sensors], -1)
 
@@ -247,15 +247,15 @@ def _time(log: Log) -> Tensor:
     return time.expand(log.z.shape[:-1])
 
 
-def _axes(filter: Filter) -> list[str]:
+def _axes(filter: Recipe) -> list[str]:
     return [name for name in filter.states if name in AXES]
 
 
-def _places(filter: Filter, prefix: str) -> list[int]:
+def _places(filter: Recipe, prefix: str) -> list[int]:
     return [filter.states.index(f"{prefix}{axis}") for axis in _axes(filter)]
 
 
-def _heading(filter: Filter, log: Log) -> Tensor:
+def _heading(filter: Recipe, log: Log) -> Tensor:
     """(T, ..., axes), unit vectors along the path; the first axis where it rests."""
     position = true_states(filter, log)[..., _places(filter, "")]
     k = torch.arange(log.steps)

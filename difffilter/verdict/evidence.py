@@ -13,7 +13,7 @@ from torch import Tensor
 from difffilter.comparison.held_out import HeldOut, Outcome
 from difffilter.comparison.table import Comparison, tabulate
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.running.smoothing import smooth
@@ -145,7 +145,7 @@ def _with_worlds(checkpoint: Checkpoint) -> Any:
     return case
 
 
-def _process(filter: Filter, log: Log, values: Values) -> list[Flag]:
+def _process(filter: Recipe, log: Log, values: Values) -> list[Flag]:
     """Of the process noise of one step."""
     time = log.time if log.time.dim() == 1 else log.time[:, 0]
     dt = torch.diff(time).median() if len(time) > 1 else torch.tensor(1.0)
@@ -170,7 +170,7 @@ def _process(filter: Filter, log: Log, values: Values) -> list[Flag]:
     return red.noise_flags(states, size[0].expand(len(states)), size[1].expand(len(states)), names)
 
 
-def _sensors(filter: Filter, held: HeldOut, values: Values, tuned: Outcome) -> list[Flag]:
+def _sensors(filter: Recipe, held: HeldOut, values: Values, tuned: Outcome) -> list[Flag]:
     """Residuals against truth, or where it does not tell every state against the smoothed track."""
     log = held.log
     try:
@@ -191,7 +191,7 @@ def _sensors(filter: Filter, held: HeldOut, values: Values, tuned: Outcome) -> l
     )
 
 
-def _owners(filter: Filter) -> Mapping[str, tuple[str, ...]]:
+def _owners(filter: Recipe) -> Mapping[str, tuple[str, ...]]:
     """Tuned parameters of each channel's sensor."""
     tuned = {name for name, parameter in filter.declarations.items() if parameter.tuned}
     return {

@@ -11,7 +11,7 @@ import torch
 
 from difffilter.comparison.held_out import HeldOut
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.case import Case
@@ -81,7 +81,7 @@ class Stressed:
 
 
 #: Those that are made of the log alone: name, text, what tells, and the change.
-CONDITIONS: tuple[tuple[str, str, str, Callable[[Filter, Log, float, int], Log], float], ...] = (
+CONDITIONS: tuple[tuple[str, str, str, Callable[[Recipe, Log, float, int], Log], float], ...] = (
     ("noise halved", "half the measurement noise", "the spread of the innovations",
      change.noisier, 0.5),
     ("noise doubled", "twice the measurement noise", "the spread of the innovations",
@@ -170,8 +170,8 @@ def conditions(held: HeldOut, seed: int = 0, trajectories: int = 100) -> list[Co
 
 
 def _changing(
-    make: Callable[[Filter, Log, float, int], Log],
-    filter: Filter,
+    make: Callable[[Recipe, Log, float, int], Log],
+    filter: Recipe,
     few: Callable[[Log], Log],
     level: float,
     seed: int,
@@ -220,7 +220,7 @@ def _sharpest(case: Case) -> float:
     return max((abs(math.degrees(part.turn_rate)) for part in segments), default=0.0)
 
 
-def _worlds(case: Case, filter: Filter, seed: int, trajectories: int) -> Iterator[Condition]:
+def _worlds(case: Case, filter: Recipe, seed: int, trajectories: int) -> Iterator[Condition]:
     """Worlds that a scenario states, then its faults off, halved and doubled."""
     if not isinstance(case, Scenario) or case.world is None:
         return
