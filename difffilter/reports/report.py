@@ -21,7 +21,7 @@ from difffilter.provenance import git_commit, library_versions
 from difffilter.reports import page
 from difffilter.reports.figures.style import save_figure
 
-__all__ = ["HELD", "Report", "digits"]
+__all__ = ["HELD", "Report"]
 
 #: What is said of a claim.
 HELD: Mapping[bool | None, str] = {True: "held", False: "not held", None: "cannot be checked"}
@@ -195,14 +195,6 @@ class Report:
         write_atomically(self.folder / "report.html", page.page(self.title, self._body))
         write_atomically(self.folder / "report.json", json_text(self._data) + "\n")
         return path
-
-
-def digits(value: float, count: int = 4) -> str:
-    """A number with ``count`` significant digits, and no exponent where it can be read without."""
-    if 1e-4 <= abs(value) < 1e6:
-        rounded = float(f"{value:.{count}g}")
-        return f"{rounded:.10f}".rstrip("0").rstrip(".") if abs(rounded) < 1e4 else f"{rounded:.0f}"
-    return f"{value:.{count}g}"
 
 
 def _cell(value: Any) -> str:

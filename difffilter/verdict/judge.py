@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from difffilter.comparison.comparison import compare
+from difffilter.errors import digits
 from difffilter.logs.log import Log
 from difffilter.reports.figures.world import world_figure
-from difffilter.reports.report import Report, digits
+from difffilter.reports.report import Report
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.systems import recipes
