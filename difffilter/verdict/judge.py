@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 from difffilter.comparison.comparison import compare
-from difffilter.errors import digits
 from difffilter.logs.log import Log
 from difffilter.reports.figures.world import world_figure
 from difffilter.reports.report import Report
@@ -84,7 +83,7 @@ def summary(found: Evidence) -> list[tuple[str, str]]:
     before, after = found.table.rows
     low, high = after.ratio_ci95
     rows = [
-        ("RMSE held out", f"{digits(before.rmse, 3)} m published, {digits(after.rmse, 3)} m tuned: "
+        ("RMSE held out", f"{_short(before.rmse, 3)} m published, {_short(after.rmse, 3)} m tuned: "
          f"ratio {after.ratio:.3f} (95 %: {low:.3f} to {high:.3f})"),
         ("NEES by direction", _listed(found.tuned.directions) + " (1 is right; published "
          + _listed(found.published.directions, names=False) + ")"),
@@ -113,11 +112,15 @@ def write_index(report: Report, judged: Mapping[str, Mapping[str, Any]]) -> None
         low, high = data["ratio_ci95"]
         nees = data["nees_by_direction"]["tuned"].values()
         rows.append([
-            name, data["grade"], digits(data["ratio"], 3), f"{low:.3f} to {high:.3f}",
-            ", ".join(digits(value, 2) for value in nees),
-            worst["name"] if worst else "", digits(worst["ratio"][0], 3) if worst else "",
+            name, data["grade"], _short(data["ratio"], 3), f"{low:.3f} to {high:.3f}",
+            ", ".join(_short(value, 2) for value in nees),
+            worst["name"] if worst else "", _short(worst["ratio"][0], 3) if worst else "",
         ])  # fmt: skip
     report.index(head, rows, [data["page"] for _, data in order])
+
+
+def _short(value: float, count: int) -> str:
+    return f"{value:.{count}g}"
 
 
 def _todo(found: Evidence) -> str:
@@ -143,7 +146,7 @@ def _terms(report: Report, case: Case, found: Evidence) -> None:
 
 def _listed(found: Mapping[str, float], names: bool = True) -> str:
     return ", ".join(
-        f"{name} {digits(value, 2)}" if names else digits(value, 2) for name, value in found.items()
+        f"{name} {_short(value, 2)}" if names else _short(value, 2) for name, value in found.items()
     )
 
 
