@@ -9,7 +9,7 @@ from torch import Tensor
 
 from difffilter.adaptation.matching import BEFORE
 from difffilter.adaptation.passive import Memory, Passive, jacobian
-from difffilter.core.linalg import minimum_norm
+from difffilter.core.linalg import minimum_norm, square_norms
 from difffilter.core.linearised import Linearised
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Parameter
@@ -17,6 +17,11 @@ from difffilter.parameters.values import Constants
 from difffilter.weights.weight import soft_relu
 
 __all__ = ["PredictionCorrection", "corrected", "excess"]
+
+#: Share of the prediction in the innovation's variance from which on an excess is all its own.
+SHARE = 0.3
+#: The most that a velocity moves, in units of what the prior's own covariance would move it.
+SLOPE = 5.0
 
 
 @dataclass(frozen=True)
@@ -26,9 +31,15 @@ class PredictionCorrection(Passive):
     Per channel d = sign(e) max(0, |e| - lambda sqrt(P_zz)), lambda = 2 in [2, 3) [P]; the
     position moves by the least-squares solution of H_p delta = d, the velocity of that axis by
     delta / ((m + 1) T) [R]; the covariance stays, and the ordinary update follows at the new
-    mean. For a measured position delta is d. m counts flagged rows just before, of
-    :class:`InnovationMatching` in a chain before it or in the fusion; 0 alone. Paper 4: [P]
-    stated there, [R] reconstruction.
+    mean. For a measured position delta is d.
+
+    Where rows follow each other closely an excess is noise, or older than the last row. Two
+    bounds, which do not bind where a row tells as much as what came before it [R]: d is
+    multiplied by min(1, (1 - R / P_zz) / 0.3)^2, the prediction's share in P_zz, and the
+    velocity moves by no more than 5 P_vp / P_pp delta, P the predicted covariance.
+
+    m counts flagged rows just before, of :class:`InnovationMatching` in a chain before it or in
+    the fusion; 0 alone. Paper 4: [P] stated there, [R] reconstruction.
 
     Attributes:
         axes: positions, the first states; their velocities are the next.
@@ -73,7 +84,10 @@ def excess(linear: Linearised, present: Tensor, constants: Constants) -> Tensor:
         beyond = (size - bound).clamp_min(0.0)
     else:  # in units of the bound, so that a temperature means the same in m and rad
         beyond = bound * soft_relu(size / bound - 1.0, temperature)
-    return torch.where(present, linear.innovation.sign() * beyond, 0.0)
+    variance = linear.innovation_variance
+    share = (1.0 - linear.independent / variance) / SHARE
+    d = linear.innovation.sign() * beyond * share.clamp(0.0, 1.0).square()
+    return torch.where(present, d, 0.0)
 
 
 def corrected(
@@ -85,7 +99,17 @@ def corrected(
     h = jacobian(linear, unit.expand(*mean.shape, axes)) * present.unsqueeze(-1)
     delta = minimum_norm(h, d)
     time = linear.dt if streak is None else linear.dt * (streak + 1.0)
-    # Without any time passed the velocity has not brought the target there.
-    rate = torch.where(time > 0.0, 1.0 / torch.where(time > 0.0, time, 1.0), 0.0)
-    shift = torch.cat([delta, delta * rate.unsqueeze(-1)], dim=-1)
+    shift = torch.cat([delta, delta * _rate(linear, time.unsqueeze(-1), axes)], dim=-1)
     return mean + torch.nn.functional.pad(shift, (0, n - 2 * axes))
+
+
+def _rate(linear: Linearised, time: Tensor, axes: int) -> Tensor:
+    """(..., axes), velocity per corrected position: 1 / time, at most SLOPE P_vp / P_pp."""
+    columns = linear.deviations[..., : linear.own]
+    position, velocity = columns[..., :axes, :], columns[..., axes : 2 * axes, :]
+    variance, covariance = square_norms(position), (position * velocity).sum(-1)
+    known = variance > 0.0
+    slope = torch.where(known, covariance.clamp_min(0.0) / torch.where(known, variance, 1.0), 0.0)
+    most = SLOPE * slope
+    # 1 / max(time, 1 / most), without a division by 0
+    return most / torch.maximum(time * most, torch.ones_like(most))
