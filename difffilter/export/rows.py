@@ -46,7 +46,8 @@ def rows(checkpoint: Checkpoint, filter: Recipe, known: Sequence[str], seed: int
     assert log.start is not None
     start = log.start
     own = start.covariance
-    sigma = _sigma(filter, values, known) if own is None else own.diagonal().sqrt()
+    given = own is not None and not bool(torch.isnan(own).all())
+    sigma = own.diagonal().sqrt() if own is not None and given else _sigma(filter, values, known)
     return replace(log, start=Start(start.mean, _correlated(sigma), start.time))
 
 

@@ -24,7 +24,8 @@ class Start:
 
     Attributes:
         mean: (..., n).
-        covariance: (..., n, n), or None for the filter's own ``start.sigma``.
+        covariance: (..., n, n), or None for the filter's own ``start.sigma``; NaN throughout
+            for those trajectories that take it.
         time: seconds, at or before the first row, a number or a tensor with one; None for the
             first row's time.
 

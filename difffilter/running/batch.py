@@ -20,16 +20,22 @@ __all__ = ["ENGINES", "check_finite", "eager", "prepared", "run", "start_belief"
 
 
 def start_belief(filter: Recipe, constants: Constants, start: Start) -> Belief:
-    """Belief at the start; the filter's ``start.sigma`` where no covariance is given."""
-    mean = start.mean
-    if start.covariance is not None:
-        given = belief(mean, start.covariance)
+    """Belief at the start; the filter's ``start.sigma`` where no covariance is given (or NaN)."""
+    mean, covariance = start.mean, start.covariance
+    without = None if covariance is None else torch.isnan(covariance).all(-1).all(-1)
+    if without is not None and covariance is not None and not bool(without.any()):
+        given = belief(mean, covariance)
         return filter.start(given.mean, given.deviations)
     if "start.sigma" not in constants:
         raise InputError("start: found no covariance, expected one, or a filter with start.sigma")
     n = mean.shape[-1]
     deviations = torch.diag_embed(constants["start.sigma"].expand(n))
-    return filter.start(mean, deviations.expand(*mean.shape[:-1], n, n))
+    deviations = deviations.expand(*mean.shape[:-1], n, n)
+    if covariance is not None and without is not None:
+        here = without[..., None, None]
+        given = belief(mean, torch.where(here, torch.eye(n, dtype=mean.dtype), covariance))
+        deviations = torch.where(here, deviations, given.deviations)
+    return filter.start(mean, deviations)
 
 
 def run(

@@ -112,8 +112,9 @@ def from_bearings(
         sensors: the name of the one that makes the start, where there are others.
 
     Raises:
-        InputError: another sensor; a trajectory, named, whose first bearings do not cross, or
-            cross behind the observer.
+        InputError: another sensor; a trajectory, named, whose first bearings do not cross,
+            cross behind the observer, or cross so flatly that their noise leaves the distance
+            open (3 standard deviations reach the observer).
     """
     part = part_of(recipe, sensors)
     sensor = the_bearing(part.sensors)
@@ -134,20 +135,37 @@ def from_bearings(
     ahead = found.bearing.cos() * (position[:, None] - found.origin)[..., 0]
     ahead = ahead + found.bearing.sin() * (position[:, None] - found.origin)[..., 1]
     behind = torch.where(found.present, ahead, 0.0).sum((0, 2)) <= 0.0
+    mean = torch.cat([position, moving.expand_as(position)], dim=-1)
+    mean = mean[:, : len(recipe.states)]
+    noise = sensor.noise(mean, flat.inputs, constants).total
     for bad, what in (
         (torch.isnan(position).any(-1), "do not cross"),
         (behind, "cross behind the observer"),
+        (_open(found, position, noise), "leave its distance open, expected more rows"),
     ):
         if bool(bad.any()):
             at = int(bad.nonzero()[0])
             name = flat.names[at] if flat.names and flat.names[at] else at
             raise InputError(f"start: trajectory {name}: its first {rows} bearings {what}")
-    mean = torch.cat([position, moving.expand_as(position)], dim=-1)
-    lead_shape = log.z.shape[1:-1]
-    mean = mean[:, : len(recipe.states)].reshape(*lead_shape, -1)
+    mean = mean.reshape(*log.z.shape[1:-1], -1)
     if not lead:
         return Start(mean)
     time = log.time[0]
     if time.dim() and bool((time != time[:1]).any()):
         raise InputError("start: found logs that begin at different times, expected one time")
     return Start(mean, None, float(time.reshape(-1)[0]) - lead)
+
+
+def _open(found: Lines, position: Tensor, noise: Tensor) -> Tensor:
+    """(B,), whether 3 standard deviations of the position reach the nearest observer.
+
+    Args:
+        position: (B, 2); noise: variance of the bearings, broadcasting with (T, B, m).
+    """
+    apart = (position[:, None] - found.origin).square().sum(-1)
+    inverse = torch.where(found.present, (noise * apart).reciprocal(), 0.0)
+    outer = found.normal.unsqueeze(-1) * found.normal.unsqueeze(-2)
+    information = (inverse[..., None, None] * outer).sum((0, 2))
+    least = torch.linalg.eigvalsh(torch.nan_to_num(information))[..., 0]
+    nearest = torch.where(found.present, apart, torch.inf).amin((0, 2))
+    return least * nearest < 9.0

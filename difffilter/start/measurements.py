@@ -61,7 +61,8 @@ def from_measurements(
             covariance: that of the fit (grown by its residuals), plus the motion from the
             log's first row to the mean of the rows used, and this for the velocities. Without
             it, the covariance is None, the filter's ``start.sigma``, unless the filter has one
-            and a fit waited for more rows or is less certain than that says.
+            and a fit waited for more rows or is less certain than that says: then it is NaN
+            for the other trajectories.
         iterations: of the first refinement; the best are refined twice as long.
         velocity: m/s, known or expected; 0 if missing.
         sensors: names of the sensors that make the start; all if missing.
@@ -134,7 +135,7 @@ def _velocity_sigma(
 def _covariance(
     fit: Fitted, part: Part, declared: Tensor | None, sigma: Tensor, wanted: bool
 ) -> Tensor | None:
-    """Covariances (B, n, n); None where the filter's ``start.sigma`` serves all trajectories.
+    """Covariances (B, n, n), NaN for the filter's ``start.sigma``; None where it serves all.
 
     The fit's, plus the motion within ``elapsed`` at the velocity's sigma, and that for
     velocities that were not fitted; ``start.sigma`` for the other states.
@@ -166,5 +167,4 @@ def _covariance(
         total[:, v, i] -= shared
     if wanted:
         return total
-    standard = torch.diag_embed(own.to(spread.dtype))
-    return torch.where(needed[:, None, None], total, standard)
+    return torch.where(needed[:, None, None], total, torch.nan)

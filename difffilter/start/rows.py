@@ -35,6 +35,12 @@ class Epochs(NamedTuple):
         """(B,), s, from the log's first row to the mean time of the rows."""
         return self.since.sum(0) / self.measured.clamp_min(1)
 
+    def select(self, at: Tensor) -> Epochs:
+        """Some of the trajectories."""
+        inputs = {name: value[:, at] for name, value in self.inputs.items()}
+        rest = (self.since[:, at], self.measured[at], self.complete[at])
+        return Epochs(self.z[:, at], inputs, *rest)
+
 
 def flatten(log: Log) -> Log:
     """The measurements with one dimension of trajectories: z (T, B, m), time (T, B)."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ __all__ = ["Found", "Problem", "search"]
 
 REFINED = 8  # candidates per sensor
 FINISHED = 4  # the best of them, and as many that lie apart
+DOUBTFUL = 12.0  # ... where their cost is less than this above twice the best one
 APART = 0.01  # of the candidates' extent
 
 #: Another minimum counts if its cost is higher by less than this: e^3 = 20 to 1.
@@ -84,6 +85,15 @@ class Problem:
     frame: Frame
     axes: int
     scale: float
+
+    def select(self, at: Tensor) -> Problem:
+        """Some of the trajectories."""
+        frame = self.frame
+        moved = {
+            name: x[:, :, at] if x.dim() > own else x
+            for name, x, own in (("along", frame.along, 2), ("offset", frame.offset, 1))
+        }
+        return replace(self, epochs=self.epochs.select(at), frame=frame._replace(**moved))
 
     @cached_property
     def z(self) -> Tensor:
@@ -160,8 +170,19 @@ def search(problem: Problem, iterations: int) -> Found:
         index = member[:, None, :, None].expand(-1, 1, -1, unknowns)
         found.append(_best(grid.gather(1, index).squeeze(1), least, REFINED))
     refined, _, value = problem.refine(torch.cat(found), problem.wide, iterations)
-    chosen = torch.cat([_best(refined, value, FINISHED), _apart(refined, value, axes)])
-    unknown, factor, value = problem.refine(chosen, problem.narrow, 2 * iterations)
+    unknown, factor, least = problem.refine(
+        _best(refined, value, FINISHED), problem.narrow, 2 * iterations
+    )
+    apart, at_most = _apart(refined, value, axes)
+    near = (at_most <= 2.0 * least.amin(0) + DOUBTFUL).any(0).nonzero().flatten()
+    if len(near):
+        more = problem.select(near).refine(apart[:, near], problem.narrow, 2 * iterations)
+        unknown = torch.cat([unknown, apart])
+        factor = torch.cat([factor, torch.zeros_like(factor)])
+        least = torch.cat([least, torch.full_like(least, torch.inf)])
+        for all_of, some in zip((unknown, factor, least), more, strict=True):
+            all_of[FINISHED:, near] = some
+    value = least
     pick = value.argmin(0)
     row = torch.arange(len(pick))
     best, spread = unknown[pick, row], factor[pick, row]
@@ -177,18 +198,19 @@ def _best(unknown: Tensor, value: Tensor, count: int) -> Tensor:
     return unknown.gather(0, index.unsqueeze(-1).expand(-1, -1, unknown.shape[-1]))
 
 
-def _apart(unknown: Tensor, value: Tensor, axes: int) -> Tensor:
-    """Candidates of low cost away from better ones, (FINISHED, B, a)."""
+def _apart(unknown: Tensor, value: Tensor, axes: int) -> tuple[Tensor, Tensor]:
+    """Candidates of low cost away from better ones, (FINISHED, B, a), and their costs."""
     position = torch.nan_to_num(unknown[..., :axes])
     row = torch.arange(position.shape[1])
     extent = (position.amax(0) - position.amin(0)).norm(dim=-1)
-    value, chosen = value.clone(), []
+    value, chosen, costs = value.clone(), [], []
     for _ in range(FINISHED + 1):
         pick = value.argmin(0)
         chosen.append(unknown[pick, row])
+        costs.append(value[pick, row])
         near = (position - position[pick, row]).norm(dim=-1) <= APART * extent
         value = torch.where(near, torch.inf, value)
-    return torch.stack(chosen[1:])
+    return torch.stack(chosen[1:]), torch.stack(costs[1:])
 
 
 def _rival(

@@ -82,6 +82,9 @@ class Fitter(NamedTuple):
         part, since = self.part, epochs.since
         n, axes = len(part.states), part.axes
         unit = torch.eye(axes, dtype=since.dtype)
+        if not moving and not bool(self.velocity.any()):  # the same state in all rows
+            still = torch.nn.functional.pad(unit, (0, 0, 0, n - axes))
+            return Frame(still, since.new_zeros(n), since.new_zeros(axes))
         offset = since.new_zeros(*since.shape, n)
         along = since.new_zeros(*since.shape, n, 2 * axes if moving else axes)
         along[..., :axes, :axes] = unit

@@ -93,7 +93,14 @@ def _beside(logs: Sequence[Log]) -> Log:
     starts = [log.start for log in logs if log.start is not None]
     times = {start.time for start in starts}
     covariances = [start.covariance for start in starts if start.covariance is not None]
-    if len(times) > 1 or len(covariances) not in (0, len(starts)):
+    if covariances and len(covariances) < len(starts):  # NaN: the filter's start.sigma
+        covariances = [
+            start.mean.new_full((*start.mean.shape, start.mean.shape[-1]), torch.nan)
+            if start.covariance is None
+            else start.covariance
+            for start in starts
+        ]
+    if len(times) > 1:
         raise InputError("worlds: found starts of several kinds, expected the same in each")
     truths = [log.truth for log in logs if log.truth is not None]
     begin = Start(

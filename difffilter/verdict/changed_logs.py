@@ -15,6 +15,7 @@ from torch import Tensor
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import PER_CHANNEL, Log, Start
 from difffilter.motions.blocks import AXES
+from difffilter.running.batch import start_belief
 from difffilter.scoring.truth import measurement_errors, true_states
 from difffilter.seeds import stream
 
@@ -141,10 +142,8 @@ def moved_start(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     """The started log, its start off by ``level`` sigmas in each state, either way."""
     start = log.start
     assert start is not None
-    if start.covariance is None:
-        sigma = filter.prepare()["start.sigma"].expand(start.mean.shape[-1])
-    else:
-        sigma = start.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    begin = start_belief(filter, filter.prepare(), start)
+    sigma = begin.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
     draw = torch.rand(start.mean.shape, generator=stream(seed, "start"), dtype=start.mean.dtype)
     mean = start.mean + level * torch.where(draw < 0.5, -sigma, sigma)
     return replace(log, start=Start(mean, start.covariance, start.time))

@@ -193,6 +193,60 @@ def test_time_may_be_a_tensor() -> None:
             Start(torch.zeros(2), None, wrong)  # type: ignore[arg-type]
 
 
+def observer(wild: bool) -> tuple[Filter, Log]:
+    """A standing target, a camera on a slow platform, few radar fixes of which one is wild."""
+    rng = np.random.default_rng(8)
+    sensors = (
+        Position(name="radar", sigma=5.0),
+        Bearing(name="eo", platform=("px", "py"), sigma=0.035),
+    )
+    recipe = Filter(
+        ConstantVelocity(2, acceleration=0.3), sensors, df.igg3, start_sigma=(10.0, 10.0, 3.0, 3.0)
+    )
+    truth, rows = np.array([-70.0, -95.0]), 240
+    time = 0.08 * np.arange(rows)
+    platform = np.stack([-0.08 * time, -0.12 * time], -1)
+    z = np.full((rows, 2, 3), np.nan)
+    apart = truth - platform
+    z[..., 2] = np.arctan2(apart[:, 1], apart[:, 0])[:, None]
+    z[..., 2] += 0.035 * rng.standard_normal((rows, 2))
+    z[7::20, :, :2] = truth + 5.0 * rng.standard_normal((12, 2, 2))
+    z[0, 1, :2] = truth + 1.0
+    if wild:
+        z[7, 0, :2] = (210.0, 0.0)
+    inputs = {n: tensor(platform[:, [i, i]]) for i, n in enumerate(("px", "py"))}
+    return recipe, Log(
+        recipe.channels, tensor(time), tensor(z),
+        truth=tensor(np.broadcast_to(truth, (rows, 2, 2)).copy()), truth_states=("x", "y"),
+        inputs=inputs,
+    )  # fmt: skip
+
+
+def test_who_does_not_wait_keeps_start_sigma() -> None:
+    """A wild fix makes one trajectory wait: the other's start.sigma keeps its gradient."""
+    recipe, log = observer(wild=True)
+    start = from_measurements(recipe, log)
+    assert start.covariance is not None
+    assert torch.isnan(start.covariance).all(-1).all(-1).tolist() == [False, True]
+    sigma = tensor([10.0, 10.0, 3.0, 3.0]).requires_grad_()
+    track = df.run(recipe, log, {"start.sigma": sigma}, start)
+    (slope,) = torch.autograd.grad(track.mean[-1, 1].sum() + track.mean[0, 1].sum(), sigma)
+    assert float(slope.abs().sum()) > 0.0
+    (none,) = torch.autograd.grad(
+        df.run(recipe, log, {"start.sigma": sigma}, start).mean[:, 0].sum(), sigma
+    )
+    assert not bool(none.any())
+    alone = df.run(recipe, log.select([1]), start=Start(start.mean[1:]))
+    assert torch.allclose(track.mean[:, 1], alone.mean[:, 0], atol=1e-12)
+
+
+def test_tuning_on_a_wild_first_fix_keeps_the_noise() -> None:
+    """A start at the observer would make the radar's sigma 23 m in place of 5."""
+    recipe, log = observer(wild=True)
+    found = df.tune(recipe, log, validation=log, tuned=["radar.sigma"], settings={"steps": 10})
+    assert 3.0 < float(found.checkpoint.values["radar.sigma"]) < 8.0
+
+
 CASE = """
 schema = 1
 name = "own"

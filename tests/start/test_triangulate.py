@@ -39,7 +39,7 @@ def log_of(z: Array, time: object = None) -> Log:
 
 
 def platform_filter(sensor: Bearing | None = None) -> Filter:
-    made = sensor or Bearing(platform=PLATFORM, sigma=1e-3)
+    made = sensor or Bearing(platform=PLATFORM, sigma=1e-5)
     return Filter(ConstantVelocity(2, acceleration=0.1), (made,), start_sigma=100.0)
 
 
@@ -294,3 +294,16 @@ def test_least_squares_needs_its_own_channels() -> None:
     log = replace(log_of(noisy()), channels=("range",))
     with pytest.raises(InputError, match="found channels range"):
         least_squares(False).estimate(log)
+
+
+def test_bearings_that_leave_the_distance_open_are_told() -> None:
+    """A standing target far off, seen over a baseline that the noise hides."""
+    along = torch.arange(6).double()
+    inputs = {"platform_x": torch.zeros(6).double(), "platform_y": along}
+    z = torch.atan2(-along, torch.full_like(along, 5000.0)).unsqueeze(-1)
+    log = Log(("bearing",), along, z, inputs=inputs)
+    coarse = platform_filter(Bearing(platform=PLATFORM, sigma=1e-3))
+    with pytest.raises(InputError, match="trajectory 0: its first 6 bearings leave its distance"):
+        from_bearings(coarse, log, (0.0, 0.0))
+    near = replace(log, z=torch.atan2(-along, torch.full_like(along, 50.0)).unsqueeze(-1))
+    assert_close(from_bearings(coarse, near, (0.0, 0.0)).mean[0], tensor(50.0), 1e-9)
