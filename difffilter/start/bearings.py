@@ -168,4 +168,5 @@ def _open(found: Lines, position: Tensor, noise: Tensor) -> Tensor:
     information = (inverse[..., None, None] * outer).sum((0, 2))
     least = torch.linalg.eigvalsh(torch.nan_to_num(information))[..., 0]
     nearest = torch.where(found.present, apart, torch.inf).amin((0, 2))
-    return least * nearest < 9.0
+    reached: Tensor = least * nearest < 9.0
+    return reached
