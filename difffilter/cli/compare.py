@@ -58,6 +58,9 @@ def add(commands: Commands) -> None:
         action="store_true",
         help="in every one of the scenario's [[worlds]]; the system that is tuned, or --system",
     )
+    parser.add_argument(
+        "--smooth", action="store_true", help="a smoothed row beside each system that has one"
+    )
     parser.add_argument("--out", metavar="FILE", help="write it too: .json or .md")
     parser.add_engine()
     parser.add_json()
@@ -84,12 +87,18 @@ def command(args: Namespace) -> int:
         "progress": shows_progress(args),
         "engine": args.engine,
     }
+    if args.worlds and args.smooth:
+        raise InputError("--smooth: found beside --worlds, expected one of them")
     if args.worlds:
         return _worlds(args, scenario, values, options)
 
-    from difffilter.comparison.comparison import compare
+    from difffilter.comparison.comparison import compare, unsmoothable
 
-    comparison = compare(scenario, values, systems=systems, **options)
+    if args.smooth:
+        for name in systems:
+            if reason := unsmoothable(scenario.system(name)):
+                note(f"{name}: no smoothed row: {reason}")
+    comparison = compare(scenario, values, systems=systems, smooth=args.smooth, **options)
     as_json, text = json_text(comparison.as_dict()), comparison_text(comparison, scenario)
     if args.out:
         write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)

@@ -60,7 +60,7 @@ def comparison_text(comparison: Comparison, scenario: Case) -> str:
     bounds = [
         name
         for name in dict.fromkeys(row.system for row in comparison.rows)
-        if scenario.systems[name].clairvoyant
+        if scenario.systems[name.removesuffix(" smoothed")].clairvoyant
     ]
     if bounds:
         told = "told of every fault, with published noise: to aim at, not to deploy"

@@ -16,6 +16,7 @@ from difffilter.logs.family import Starter
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
+from difffilter.running.smoothing import check_smoothable, smoothed
 from difffilter.scenario.build import System
 from difffilter.scenario.case import Case
 from difffilter.scenario.checkpoint import Checkpoint
@@ -24,7 +25,7 @@ from difffilter.scenario.model import as_case
 from difffilter.scenario.simulation import simulate
 from difffilter.scenario.sources import Logs, as_log
 
-__all__ = ["Comparison", "Contestant", "Row", "compare", "contestants", "run_all"]
+__all__ = ["Comparison", "Contestant", "Row", "compare", "contestants", "run_all", "unsmoothable"]
 
 
 class Contestant(NamedTuple):
@@ -54,6 +55,7 @@ def compare(
     systems: tuple[str, ...] = (),
     progress: bool = False,
     engine: str = "auto",
+    smooth: bool = False,
 ) -> Comparison:
     """Run every system with published values, and every checkpoint's system with its own.
 
@@ -66,10 +68,12 @@ def compare(
         log: recorded logs in place of simulated ones.
         systems: only these; all if empty.
         engine: of the filters, as for :func:`difffilter.run`.
+        smooth: a row ``SYSTEM smoothed`` beside each system that :func:`difffilter.smooth`
+            takes, from its whole log.
 
     Raises:
         InputError: a checkpoint of a system or with parameters that this scenario has not,
-            a log without truth.
+            a log without truth; with ``smooth`` no system that can be smoothed.
     """
     scenario = as_case(scenario)
     chosen = contestants(scenario, {"published": None} if values is None else values, systems)
@@ -78,9 +82,11 @@ def compare(
     )
     if held_out.truth is None:
         raise InputError("compare: needs truth columns in the logs, found none")
+    if smooth and not any(unsmoothable(one.recipe) == "" for one in chosen):
+        raise InputError(unsmoothable(chosen[0].recipe))
     return tabulate(
         scenario.name,
-        run_all(chosen, held_out, partial(started, scenario), engine, progress),
+        run_all(chosen, held_out, partial(started, scenario), engine, progress, smooth=smooth),
         held_out,
         wanted=(scenario.tuning.system, "published"),
         seed=seed if log is None else None,
@@ -90,9 +96,15 @@ def compare(
 
 
 def run_all(
-    who: Sequence[Contestant], log: Log, starter: Starter, engine: str, progress: bool = False
+    who: Sequence[Contestant],
+    log: Log,
+    starter: Starter,
+    engine: str,
+    progress: bool = False,
+    *,
+    smooth: bool = False,
 ) -> dict[tuple[str, str], Track]:
-    """Everybody's track of one log, by system and values.
+    """Everybody's track of one log, by system and values; smoothed ones beside, if wanted.
 
     Raises:
         InputError: names those that cannot start, and who remains without them.
@@ -113,6 +125,14 @@ def run_all(
             tracks[one.system, one.values] = estimate(
                 one.recipe, ready, one.frozen, temperature=one.temperature, engine=engine
             )
+            if smooth and unsmoothable(one.recipe) == "":
+                tracks[f"{one.system} smoothed", one.values] = smoothed(
+                    check_smoothable(one.recipe),
+                    ready.only(one.recipe.channels),
+                    tracks[one.system, one.values],
+                    one.frozen,
+                    temperature=one.temperature,
+                )
     return tracks
 
 
@@ -124,6 +144,15 @@ def _cannot_start(who: Sequence[Contestant], unable: Mapping[str, InputError]) -
     how = " ".join(f"--system {other}" for other in rest)
     advice = f"; the others compare with {how}" if rest else ""
     return InputError(f"system {name} cannot start{also}: {reason}{advice}")
+
+
+def unsmoothable(system: System) -> str:
+    """Why a system cannot be smoothed; empty where it can."""
+    try:
+        check_smoothable(system)
+    except InputError as error:
+        return str(error)
+    return ""
 
 
 def contestants(

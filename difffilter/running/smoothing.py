@@ -14,6 +14,7 @@ from difffilter.core.cubature import doubled
 from difffilter.core.smooth import Backward, backward
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.mixture import Mixture
 from difffilter.filters.prediction import predict
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
@@ -22,7 +23,7 @@ from difffilter.parameters.parameters import Values
 from difffilter.parameters.values import Constants
 from difffilter.running.batch import check_finite, prepared, run
 
-__all__ = ["smooth"]
+__all__ = ["check_smoothable", "smooth", "smoothed"]
 
 
 class Steps(NamedTuple):
@@ -71,10 +72,27 @@ def smooth(
     """
     if not lag >= 0.0:
         raise InputError(f"lag: found {lag}, expected 0 or more seconds")
-    filter = check_smoothable(recipe)
+    check_smoothable(recipe)
     track = run(
-        filter, log, values, start, temperature=temperature, progress=progress, engine=engine
+        recipe, log, values, start, temperature=temperature, progress=progress, engine=engine
     )
+    return smoothed(recipe, log, track, values, start, lag=lag, temperature=temperature)
+
+
+def smoothed(
+    recipe: Recipe,
+    log: Log,
+    track: Track,
+    values: Values | None = None,
+    start: Start | Belief | None = None,
+    *,
+    lag: float = math.inf,
+    temperature: float | None = None,
+) -> Track:
+    """A filter's track of a log smoothed: the way back of :func:`smooth`, same arguments."""
+    if not lag >= 0.0:
+        raise InputError(f"lag: found {lag}, expected 0 or more seconds")
+    filter = check_smoothable(recipe)
     constants, _, intervals = prepared(filter, log, values, start, temperature)
     if log.steps == 1:
         return track
@@ -83,16 +101,18 @@ def smooth(
         mean, deviations = _interval(track, steps)
     else:
         mean, deviations = _lagged(track, steps, _until(log.time, lag))
-    smoothed = replace(track, mean=mean, deviations=deviations)
-    check_finite(smoothed)
-    return smoothed
+    found = replace(track, mean=mean, deviations=deviations)
+    check_finite(found)
+    return found
 
 
-def check_smoothable(recipe: Recipe) -> Filter:
+def check_smoothable(recipe: object) -> Filter:
     """The filter; InputError where its rows are not linked by one Gaussian model."""
     found = ""
-    if not isinstance(recipe, Filter):
-        found = f"{type(recipe).__name__}, which fuses subsystems"
+    if isinstance(recipe, Mixture):
+        found = "a mixture, whose modes mix at every row"
+    elif not isinstance(recipe, Filter):
+        raise InputError(f"smooth: found {type(recipe).__name__}, expected a filter")
     elif recipe.fusion is not None:
         found = "fusion of subsystems"
     elif recipe.adaptation is not None:

@@ -146,3 +146,15 @@ def test_recorded_runs_bring_their_positions(tmp_path: Path, capsys: Any) -> Non
     base = difffilter.load_scenario("uwb-ranges").sensors["range"].model
     given = [list(station) for station in base.stations]  # type: ignore[attr-defined]
     assert error("los_A2.csv", "--set", f"sensors.range.stations={given}")[0] == wrong
+
+
+def test_compare_with_smoothed_rows(place: Path, capsys: Any) -> None:
+    capsys.readouterr()
+    command = ("compare", "tiny.toml", "--values", "published", "--trajectories", "3", "--smooth")
+    assert main([*command, "--json"]) == 0
+    told = capsys.readouterr()
+    rows = {row["system"]: row["rmse"] for row in strict_json(told.out)["rows"]}
+    assert rows["ekf smoothed"] < rows["ekf"]
+    assert {"ekf", "ekf smoothed"} <= set(rows)
+    for name in set(rows) - {n.removesuffix(" smoothed") for n in rows if " smoothed" in n}:
+        assert name.endswith(" smoothed") or f"{name}: no smoothed row" in told.err

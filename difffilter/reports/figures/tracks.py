@@ -13,24 +13,37 @@ from difffilter.reports.figures.style import COLOURS, axes_grid
 __all__ = ["track_figure"]
 
 
-def track_figure(log: Log, track: Track, trajectory: int = 0, title: str = "") -> Figure:
+def track_figure(
+    log: Log,
+    track: Track,
+    trajectory: int = 0,
+    title: str = "",
+    *,
+    smoothed: Track | None = None,
+) -> Figure:
     """Track, position errors with 3-sigma bands, and weights over time.
 
     Args:
         log: (T, B, m) or (T, m), with truth or not (errors need it).
         track: of that log.
         trajectory: which one of a batch.
+        smoothed: of the same log, drawn beside the filtered track, with bands of its own.
     """
     time, mean, std, weights, truth = _pick(log, track, trajectory)
     figure, axes = axes_grid(2, 2)
     if title:
         figure.suptitle(title)
+    later = None if smoothed is None else _pick(log, smoothed, trajectory)
     _draw_track(axes[0], log, track, mean, truth)
+    if later is not None:
+        _draw_later(axes[0], track, later[1])
     for i, name in enumerate(track.states[:2]):
         true = None
         if truth is not None and name in log.truth_states:
             true = truth[:, log.truth_states.index(name)]
         _draw_error(axes[1 + i], name, time, mean[:, i], std[:, i], true)
+        if later is not None:
+            _draw_later_error(axes[1 + i], time, later[1][:, i], later[2][:, i], true)
     _draw_weights(axes[3], track, time, weights)
     return figure
 
@@ -85,6 +98,27 @@ def _draw_error(
         limit = max(1.3 * span, 1.3 * 3 * float(np.nanmedian(std)))
         ax.set_ylim(-limit, limit)
     ax.set(xlabel="time (s)", ylabel=f"error in {name} (m)", title=f"{name}: estimate - truth")
+    ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
+
+
+def _draw_later(ax: Axes, track: Track, mean: np.ndarray) -> None:
+    """The smoothed track over the filtered one."""
+    flat = len(track.states) < 2 or track.states[1].startswith("v")
+    line = (mean[:, 0],) if flat else (mean[:, 0], mean[:, 1])
+    ax.plot(*line, color=COLOURS["clairvoyant"], lw=1.2, label="smoothed")
+    ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
+
+
+def _draw_later_error(
+    ax: Axes, time: np.ndarray, mean: np.ndarray, std: np.ndarray, truth: np.ndarray | None
+) -> None:
+    """The smoothed error with its band, inside the filter's."""
+    colour = COLOURS["clairvoyant"]
+    ax.fill_between(time, -3 * std, 3 * std, color=colour, alpha=0.25, lw=0)
+    if truth is not None:
+        error = mean - truth
+        ax.plot(time, error, color=colour, lw=0.8, label="smoothed error")
+    ax.plot([], [], color=colour, alpha=0.4, lw=6, label="3 sigma, smoothed")
     ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
 
 
