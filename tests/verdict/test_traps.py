@@ -23,7 +23,7 @@ TRAPS: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any], str]] = {
         {"radio.sigma": [3.0, 3.0], "motion.acceleration": 0.005}, {}, {}, "process-noise"),
     "proud along one axis": (
         {"radio.sigma": [3.0, 0.9], "gps.sigma": [3.0, 0.9]}, {}, {}, "direction"),
-    "timid of its velocity": ({**GOOD, "motion.acceleration": 30.0}, {}, {}, "direction"),
+    "timid of its velocity": ({**GOOD, "motion.acceleration": 30.0}, {}, {}, "half the rate"),
     "capped": (GOOD, {}, {"end": "steps"}, "capped"),
     "out of filter runs": (GOOD, {}, {"end": "runs"}, "capped"),
     "not determined": ({**GOOD, "motion.acceleration": 1.1}, {}, FREE, "undetermined"),
