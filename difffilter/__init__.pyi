@@ -70,6 +70,8 @@ from difffilter.motions.blocks import ConstantVelocity as ConstantVelocity
 from difffilter.motions.blocks import CoordinatedTurn as CoordinatedTurn
 from difffilter.motions.blocks import FunctionMotion as FunctionMotion
 from difffilter.motions.blocks import Motion as Motion
+from difffilter.motions.registry import MOTIONS as MOTIONS
+from difffilter.motions.registry import motion as motion
 from difffilter.parameters.constraints import Above as Above
 from difffilter.parameters.constraints import Below as Below
 from difffilter.parameters.constraints import Bounded as Bounded
@@ -131,6 +133,8 @@ from difffilter.sensors.builtin import Position as Position
 from difffilter.sensors.builtin import PositionSensor as PositionSensor
 from difffilter.sensors.builtin import Range as Range
 from difffilter.sensors.builtin import StationSensor as StationSensor
+from difffilter.sensors.registry import SENSORS as SENSORS
+from difffilter.sensors.registry import sensor as sensor
 from difffilter.sensors.sensor import FunctionSensor as FunctionSensor
 from difffilter.sensors.sensor import Noise as Noise
 from difffilter.sensors.sensor import Sensor as Sensor

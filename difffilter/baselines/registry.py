@@ -10,7 +10,7 @@ from difffilter.baselines.chan_ekf import ChanEKF
 from difffilter.baselines.closed_form import ChanLeastSquares
 from difffilter.baselines.least_squares import Snapshot, TaylorLeastSquares
 from difffilter.errors import InputError
-from difffilter.motions.blocks import ConstantVelocity
+from difffilter.motions.blocks import ConstantVelocity, Motion
 from difffilter.parameters.parameters import Number
 from difffilter.registry import Registry
 from difffilter.sensors.builtin import PositionSensor
@@ -32,12 +32,12 @@ class Given:
 
     sensors: tuple[PositionSensor, ...]
     axes: int
-    moving: Callable[[], ConstantVelocity]
+    moving: Callable[[], Motion]
     start_sigma: Number | None
     known_velocity: tuple[float, ...] | None
 
     @property
-    def motion(self) -> ConstantVelocity:
+    def motion(self) -> Motion:
         """The published motion; InputError where none is published."""
         return self.moving()
 
@@ -76,7 +76,10 @@ def _chan(given: Given) -> ChanLeastSquares:
 
 @baseline("chan-ekf")
 def _chan_ekf(given: Given) -> ChanEKF:
-    return ChanEKF(given.sensors, given.axes, motion=given.motion, start_sigma=given.start_sigma)
+    motion = given.motion
+    if not isinstance(motion, ConstantVelocity):
+        raise InputError("estimator: expected a motion of constant velocity with 'chan-ekf'")
+    return ChanEKF(given.sensors, given.axes, motion=motion, start_sigma=given.start_sigma)
 
 
 @baseline("bearing-ls")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from difffilter.core.linalg import semidefinite_cholesky
+from difffilter.errors import InputError
 
 __all__ = [
     "Above",
@@ -22,6 +22,9 @@ __all__ = [
     "Real",
     "Simplex",
 ]
+
+#: Smallest eigenvalue that the correlations of a tuned covariance can have.
+FLOOR = 1e-9
 
 
 @dataclass(frozen=True)
@@ -231,22 +234,52 @@ class Simplex(Constraint):
         )
 
 
+def _floor(dtype: torch.dtype) -> float:
+    """Share of independent noise in every tuned covariance."""
+    return max(FLOOR, 64.0 * torch.finfo(dtype).eps)
+
+
 @dataclass(frozen=True)
 class Covariance(Constraint):
-    """Symmetric positive definite matrix, through its log-Cholesky factor."""
+    """Symmetric positive definite matrix P = D C D: standard deviations D, correlations C.
+
+    The free numbers are the entries of a lower triangle, row by row. Those of the diagonal are
+    the logarithms of the standard deviations. The others are l_ij / l_ii of the Cholesky factor
+    L of P: row i of the factor of C is (l_i1, ..., l_i,i-1, 1) / its length. So steps are
+    relative, in whatever units, and standard deviations are free of correlations
+    [reconstruction]. C is that matrix times 1 - e, plus e times the identity, e = 1e-9 (more
+    in float32): positive definite to the precision after a step of any size.
+
+    Raises:
+        InputError: correlations of 1 to within e, where free numbers are asked for.
+    """
 
     def physical(self, free: Tensor) -> Tensor:
         n = (math.isqrt(8 * free.shape[-1] + 1) - 1) // 2
         rows, cols = torch.tril_indices(n, n)
         lower = free.new_zeros(n, n).index_put((rows, cols), free)
-        lower = lower.tril(-1) + torch.diag_embed(lower.diagonal(dim1=-2, dim2=-1).exp())
-        return lower @ lower.mT
+        sigma = lower.diagonal(dim1=-2, dim2=-1).exp()
+        identity = torch.eye(n, dtype=free.dtype, device=free.device)
+        unit = lower.tril(-1) + identity
+        unit = unit * unit.square().sum(-1, keepdim=True).rsqrt()
+        floor = _floor(free.dtype)
+        correlations = (1.0 - floor) * (unit @ unit.mT) + floor * identity
+        return correlations * (sigma.unsqueeze(-1) * sigma.unsqueeze(-2))
 
     def free(self, physical: Tensor) -> Tensor:
-        lower = semidefinite_cholesky(physical)
-        log_diagonal = torch.diag_embed(lower.diagonal(dim1=-2, dim2=-1).log())
+        sigma = physical.diagonal(dim1=-2, dim2=-1).sqrt()
+        floor = _floor(physical.dtype)
+        correlations = physical / (sigma.unsqueeze(-1) * sigma.unsqueeze(-2))
+        identity = torch.eye(physical.shape[-1], dtype=physical.dtype, device=physical.device)
+        lower, failed = torch.linalg.cholesky_ex((correlations - floor * identity) / (1.0 - floor))
+        if bool(failed.any()):
+            raise InputError(
+                f"covariance: found correlations of 1 to within {floor:.0e}, expected such that "
+                "each number has an error of its own"
+            )
+        unit = (lower / lower.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)).tril(-1)
         rows, cols = torch.tril_indices(*physical.shape[-2:])
-        return (lower.tril(-1) + log_diagonal)[..., rows, cols]
+        return (unit + torch.diag_embed(sigma.log()))[..., rows, cols]
 
     def expected(self) -> str:
         return "a symmetric positive definite matrix"

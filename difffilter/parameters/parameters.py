@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NoReturn
 
 import torch
 from torch import Tensor, nn
@@ -164,7 +164,18 @@ class ParameterSet(nn.Module):
             if parameter.tuned
         }
 
-    def set_tuned(self, name: str, tuned: bool) -> ParameterSet:
+    def set_tuned(self, name: str, tuned: bool) -> NoReturn:
+        """Now :meth:`with_tuned`: an InputError that says so, as the old name looked like a change.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError(
+            "set_tuned: found the old name, expected parameters = parameters.with_"
+            f"tuned({name!r}, {tuned}), which gives a copy"
+        )
+
+    def with_tuned(self, name: str, tuned: bool = True) -> ParameterSet:
         """A copy in which ``name`` is tuned or frozen; InputError if it is not declared."""
         if name not in self.declarations:
             raise InputError(
@@ -196,8 +207,17 @@ def check_values(declarations: Mapping[str, Parameter], values: Values | None) -
             raise InputError(
                 f"{name}: no such parameter, expected one of {', '.join(declarations)}"
             )
+        checked[name] = value = real(name, value)
         declarations[name].check(value)
     return checked
+
+
+def real(name: str, value: Any) -> Tensor:
+    """A tensor of real numbers: integers become float64; InputError for anything else."""
+    if not isinstance(value, Tensor) or value.is_complex() or value.dtype == torch.bool:
+        kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+        raise InputError(f"{name}: found {kind}, expected a tensor of real numbers")
+    return value if value.is_floating_point() else value.double()
 
 
 def _key(name: str) -> str:

@@ -14,13 +14,12 @@ from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.filters.mixture import Mixture
 from difffilter.filters.recipe import Recipe
-from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import Number
 from difffilter.robust.groups import channel_groups
 from difffilter.scenario.options import OPTIONS
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.systems import MotionSpec, ParameterSpec, SystemSpec
-from difffilter.sensors.builtin import TDOA
+from difffilter.sensors.builtin import TDOA, PositionSensor
 from difffilter.weights.registry import WEIGHTS
 
 __all__ = ["System", "build_system"]
@@ -51,26 +50,15 @@ def build_system(
 
     chosen = [sensors[name] for name in spec.sensors]
     models = tuple(
-        sensor.for_filter(
-            value(f"{sensor.model.name}.sigma"),
-            value(f"{sensor.model.name}.bias"),
-            spec.common_noise,
-        )
+        sensor.for_filter({n: p.value for n, p in parameters.items()}, spec.common_noise)
         for sensor in chosen
     )
     if spec.common_noise and not any(isinstance(model, TDOA) for model in models):
         raise where("common_noise: found no TDOA sensor, expected one with it")
-
-    def moving() -> ConstantVelocity:
-        level = value(motion.parameter)
-        if level is None:
-            raise InputError(f"needs [parameters.{motion.parameter}], found none")
-        return motion.build(axes, level)
-
     given = Given(
         sensors=models,
         axes=axes,
-        moving=moving,
+        moving=partial(motion.build, axes, parameters),
         start_sigma=value("start.sigma"),
         known_velocity=velocity,
     )
@@ -108,6 +96,12 @@ def _bare(
 ) -> System:
     """The recipe or baseline before the scenario's values are declared."""
     if spec.estimator != "filter":
+        for sensor in given.sensors:
+            if not isinstance(sensor, PositionSensor):
+                raise InputError(
+                    f"sensors: found {sensor.channels[0]}, a sensor of more than the position, "
+                    f"expected none with estimator = {spec.estimator!r}"
+                )
         return BASELINES[spec.estimator](given)
     if spec.modes:
         return _mixture(spec, given, motion, parameters)
@@ -134,15 +128,11 @@ def _mixture(
     for mode in spec.modes:
         own = _own_values(f"{spec.where}.modes.{mode.name}", mode.name, mode.values, parameters)
         kind = mode.motion or motion
-        level = own.get(kind.parameter)
-        if level is None:
-            raise InputError(f"modes.{mode.name}: needs [parameters.{kind.parameter}], found none")
-        part = replace(
-            given,
-            start_sigma=None,
-            moving=partial(kind.build, given.axes, level.value),
-        )
-        filter = _filter(mode.options, part)
+        part = replace(given, start_sigma=None, moving=partial(kind.build, given.axes, own))
+        try:
+            filter = _filter(mode.options, part)
+        except InputError as error:
+            raise InputError(f"modes.{mode.name}: {error}") from None
         declared = {
             name: p.declare(filter.declarations[name])
             for name, p in own.items()

@@ -33,7 +33,7 @@ class ModeSpec:
 
     def as_dict(self) -> dict[str, Any]:
         """As a checkpoint lists it."""
-        motion = None if self.motion is None else vars(self.motion)
+        motion = None if self.motion is None else self.motion.as_dict()
         return {"motion": motion, **self.options, "values": self.values}
 
 

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Generator, Tensor
 
 from difffilter.parameters.parameters import Number
+from difffilter.scenario.keys import keywords, made, published, read_keys
 from difffilter.scenario.table import Table
-from difffilter.sensors.builtin import TDOA, Bearing, Position, PositionSensor, Range, StationSensor
+from difffilter.sensors.registry import SENSORS
+from difffilter.sensors.stations import StationSensor
 
-__all__ = ["KINDS", "SensorSpec", "read_sensor"]
+__all__ = ["SensorSpec", "read_sensor"]
 
-MODELS: dict[str, type[PositionSensor]] = {
-    "tdoa": TDOA,
-    "range": Range,
-    "bearing": Bearing,
-    "position": Position,
-}
-KINDS = tuple(MODELS)
+#: Keyword arguments of a sensor that are no keys of its table.
+GIVEN = ("name", "axes", "sigma", "bias", "common_sigma")
 
 
 @dataclass(frozen=True)
@@ -35,9 +32,10 @@ class Schedule:
 
 @dataclass(frozen=True)
 class SensorSpec:
-    """One sensor: geometry and channels (``model``), and its noise in the world, in m or rad.
+    """One sensor: what makes its model, and its noise in the world, in m or rad.
 
     Attributes:
+        kind: name in :data:`SENSORS`; arguments: of what makes the model, but for noise and bias.
         model: with the world's sigma; a filter gets it through :meth:`for_filter`.
         sigma: standard deviation of the independent noise, in the world.
         common_sigma: of the noise that all channels share, in the world (TDOA only).
@@ -46,7 +44,9 @@ class SensorSpec:
         every: it measures at every so many-th step of the world.
     """
 
-    model: PositionSensor
+    kind: str
+    arguments: Mapping[str, Any]
+    model: Any
     sigma: float
     common_sigma: float
     schedule: tuple[Schedule, ...]
@@ -58,16 +58,16 @@ class SensorSpec:
         """Names of the inputs with the position of its platform."""
         return self.model.platform if isinstance(self.model, StationSensor) else ()
 
-    def for_filter(self, sigma: Number | None, bias: Number | None, common: bool) -> PositionSensor:
-        """The model that a filter uses: published sigma and bias where given."""
-        model = replace(
-            self.model,
-            sigma=self.sigma if sigma is None else sigma,
-            bias=0.0 if bias is None else bias,
-        )
-        if common and isinstance(model, TDOA):
-            model = replace(model, common_sigma=self.common_sigma or self.sigma)
-        return model
+    def for_filter(self, values: Mapping[str, Number], common: bool) -> Any:
+        """The model that a filter uses: with published values, by parameter, where given."""
+        factory = SENSORS[self.kind]
+        sigma = {"sigma": self.sigma} if "sigma" in keywords(factory) else {}
+        more = published(factory, self.model.name, values)
+        if common and "common_sigma" in keywords(factory):
+            more = {"common_sigma": self.common_sigma or self.sigma} | more
+        elif "common_sigma" in more:
+            del more["common_sigma"]  # told apart by common_noise of the system
+        return factory(**dict(self.arguments) | sigma | more)
 
     def measure(
         self, truth: Tensor, generator: Generator, inputs: Mapping[str, Tensor]
@@ -93,11 +93,19 @@ class SensorSpec:
 
 def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
     """Read ``[sensors.NAME]``."""
-    kind = table.text("kind", choices=KINDS)
+    kind = table.text("kind", choices=tuple(SENSORS))
+    factory = SENSORS[kind]
+    own = keywords(factory)
+    about = {k: v for k, v in (("name", name), ("axes", axes)) if k in own}
+    about |= read_keys(table, factory, GIVEN)
+    blank = {"sigma": 1.0} if "sigma" in own else {}  # until its unit is known
+    model = made(table, factory, about | blank)
     noise = table.table("noise", optional=True)
-    unit = noise.unit(MODELS[kind].unit)
+    unit = noise.unit(model.unit)
     sigma = unit * noise.number("sigma", 1.0 / unit, above=0.0)
-    common = unit * noise.number("common_sigma", 0.0, low=0.0) if kind == "tdoa" else 0.0
+    common = 0.0
+    if "common_sigma" in own:
+        common = unit * noise.number("common_sigma", 0.0, low=0.0)
     schedule = []
     for part in noise.tables("schedule"):
         schedule.append(
@@ -111,39 +119,16 @@ def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
             part.fail("last", f"a step of first = {schedule[-1].first} or later")
         part.finish()
     noise.finish()
-    about: dict[str, Any] = {
-        "name": name,
-        "axes": axes,
-        "sigma": sigma,
-        "channels": table.names("channels", ()),
-    }
     every = table.integer("every", 1, low=1)
     pool = table.names("pool", ()) if kind == "position" else ()
-    about |= {} if kind == "position" else _read_stations(table, kind, axes)
-    expected = axes if kind == "position" else len(about["stations"]) - (kind == "tdoa")
-    if about["channels"] and len(about["channels"]) != expected:
-        table.fail("channels", f"{expected} names")
     table.finish()
-    return SensorSpec(MODELS[kind](**about), sigma, common, tuple(schedule), every, pool)
-
-
-def _read_stations(table: Table, kind: str, axes: int) -> dict[str, Any]:
-    """Where the stations are, and the platform that they may ride."""
-    if kind == "bearing" and axes != 2:
-        table.fail("kind", "no bearing in a scenario without two axes")
-    if kind == "bearing" and "stations" not in table:
-        stations: tuple[tuple[float, ...], ...] = ((0.0,) * axes,)
-        table.take("stations", "", None)
-    else:
-        stations = table.points("stations")
-    heights = kind != "bearing"
-    if len(stations[0]) != axes and not (heights and len(stations[0]) == axes + 1):
-        with_heights = f", or with heights {axes + 1}," if heights else ""
-        table.fail("stations", f"points of {axes}{with_heights} numbers")
-    if kind == "tdoa" and len(stations) < 3:
-        table.fail("stations", "three or more stations, the reference first")
-    platform = table.names("platform", ())
-    if platform and len(platform) != len(stations[0]):
-        table.fail("platform", f"{len(stations[0])} names of inputs, one per coordinate")
-    height = {"height": table.number("height", 0.0)} if heights else {}
-    return {"stations": stations, "platform": platform, **height}
+    return SensorSpec(
+        kind=kind,
+        arguments=about,
+        model=made(table, factory, about | ({"sigma": sigma} if blank else {})),
+        sigma=sigma,
+        common_sigma=common,
+        schedule=tuple(schedule),
+        every=every,
+        pool=pool,
+    )

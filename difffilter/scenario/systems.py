@@ -8,8 +8,10 @@ from typing import Any
 
 from difffilter.baselines.registry import BASELINES
 from difffilter.errors import InputError, shown
-from difffilter.motions.blocks import NOISES, ConstantVelocity, CoordinatedTurn
+from difffilter.motions.protocol import Motion
+from difffilter.motions.registry import MOTIONS
 from difffilter.parameters.parameters import Number, Parameter, as_number
+from difffilter.scenario.keys import keywords, missing, published, read_keys
 from difffilter.scenario.modes import ModeSpec, read_modes
 from difffilter.scenario.options import OPTIONS, adaptation_names
 from difffilter.scenario.sensing import SensorSpec
@@ -19,7 +21,6 @@ __all__ = ["MotionSpec", "ParameterSpec", "SystemSpec", "read_system", "recipes"
 
 #: Patterns of the parameters that each mode of a system has for itself.
 OWN = ("motion.*",)
-MODELS = ("constant-velocity", "coordinated-turn")
 
 
 @dataclass(frozen=True)
@@ -55,22 +56,26 @@ class ParameterSpec:
 
 @dataclass(frozen=True)
 class MotionSpec:
-    """``[motion]``: constant velocity or a coordinated turn, and the kind of noise."""
+    """``[motion]``: the model's name in :data:`MOTIONS`, and its keys."""
 
-    noise: str
-    model: str = "constant-velocity"
-    reverse: bool = False
+    model: str
+    keys: Mapping[str, Any]
 
-    def build(self, axes: int, level: Number) -> ConstantVelocity:
-        """The model at a level of noise."""
-        if self.model == "coordinated-turn":
-            return CoordinatedTurn(axes, self.noise, level, reverse=self.reverse)
-        return ConstantVelocity(axes, self.noise, level)
+    def build(self, axes: int, parameters: Mapping[str, ParameterSpec]) -> Motion:
+        """The model with published values; InputError where one that it needs is missing."""
+        factory = MOTIONS[self.model]
+        values = {name: parameter.value for name, parameter in parameters.items()}
+        given = {**self.keys, **published(factory, "motion", values)}
+        if "axes" in keywords(factory):
+            given["axes"] = axes
+        lacking = missing(factory, given)
+        if lacking is not None:
+            raise InputError(f"needs [parameters.motion.{lacking}] or motion.{lacking}, found none")
+        return factory(**given)
 
-    @property
-    def parameter(self) -> str:
-        """Name of the noise's parameter."""
-        return "motion.state_sigma" if self.noise == "state" else "motion.acceleration"
+    def as_dict(self) -> dict[str, Any]:
+        """As a checkpoint lists it."""
+        return {"model": self.model, **self.keys}
 
 
 @dataclass(frozen=True)
@@ -123,11 +128,8 @@ class SystemSpec:
 
 def read_motion(table: Table) -> MotionSpec:
     """Read ``[motion]``."""
-    spec = MotionSpec(
-        table.text("noise", "discrete", choices=NOISES),
-        table.text("model", "constant-velocity", choices=MODELS),
-        table.flag("reverse"),
-    )
+    model = table.text("model", "constant-velocity", choices=tuple(MOTIONS))
+    spec = MotionSpec(model, read_keys(table, MOTIONS[model], ("axes",)))
     table.finish()
     return spec
 

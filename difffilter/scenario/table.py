@@ -182,7 +182,7 @@ class Table:
 
         Where ``sigma`` is given, the unit may be ``sigma``: so many standard deviations.
         """
-        units = MEASURES[base] | ({} if sigma is None else {"sigma": sigma})
+        units = MEASURES.get(base, {base: 1.0}) | ({} if sigma is None else {"sigma": sigma})
         return units[self.text("unit", base, choices=tuple(units))]
 
     def table(self, key: str, optional: bool = False) -> Table:

@@ -145,6 +145,14 @@ class TDOA(Range):
     name: str = "tdoa"
     common_sigma: float | None = None
 
+    def __post_init__(self) -> None:
+        if len(self.stations) < 2:
+            raise InputError(
+                f"{self.name}.stations: found {len(self.stations)}, expected two or more, the "
+                "reference first"
+            )
+        super().__post_init__()
+
     def default_channels(self) -> tuple[str, ...]:
         return tuple(f"{self.name}_{i + 1}" for i in range(1, len(self.stations)))
 

@@ -40,15 +40,14 @@ from difffilter.export.c99 import export_c
 from difffilter.filters.filter import RULES, STANDARDISATIONS
 from difffilter.logs.family import ROLES
 from difffilter.motions import blocks as motion
+from difffilter.motions.registry import MOTIONS
 from difffilter.robust import gate, groups, recovery
 from difffilter.scenario import (
     checkpoint,
     faults,
     options,
     scenario,
-    sensing,
     starting,
-    systems,
     table,
 )
 from difffilter.scenario.scenario import load_scenario
@@ -56,6 +55,7 @@ from difffilter.scenario.settings import OPTIMISERS, TuneSettings
 from difffilter.scenario.simulation import simulate
 from difffilter.scoring import metrics
 from difffilter.scoring.losses import LOSSES
+from difffilter.sensors.registry import SENSORS
 from difffilter.tuning.loop import tune
 from difffilter.weights.registry import WEIGHTS
 
@@ -416,8 +416,8 @@ def keys_in(source: str) -> Iterator[str]:
 def test_every_choice_is_documented() -> None:
     text = without_code(DOCS / "scenario-files.md")
     choices = (
-        *sensing.KINDS, *faults.KINDS, *WEIGHTS, *LOSSES, *gate.ACTIONS, *motion.NOISES,
-        *STANDARDISATIONS, *RULES, *systems.MODELS, *options.FUSIONS, "filter", *BASELINES,
+        *SENSORS, *faults.KINDS, *WEIGHTS, *LOSSES, *gate.ACTIONS, *motion.NOISES,
+        *STANDARDISATIONS, *RULES, *MOTIONS, *options.FUSIONS, "filter", *BASELINES,
         *ADAPTATIONS, *(unit for units in table.MEASURES.values() for unit in units),
         *groups.SCOPES, *groups.DISTANCES, *recovery.RECOVERIES, *starting.STARTS, *metrics.SCORES,
         *OPTIMISERS, *ROLES, "constant", "uniform", "normal", "sigma",

@@ -9,6 +9,7 @@ from helpers import assert_close, random_spd, tensor
 from hypothesis import given
 from hypothesis import strategies as st
 
+from difffilter.errors import InputError
 from difffilter.parameters.constraints import (
     Above,
     Below,
@@ -218,3 +219,32 @@ def test_every_constraint_says_what_it_expects() -> None:
     assert Above(1.0).expected() == "a number above 1"
     assert Below(2.0).expected() == "a number below 2"
     assert Positive(zero=(0, 3)).expected() == "numbers above 0, and 0 at 1, 4"
+
+
+def test_a_tuned_covariance_stays_admissible_and_well_scaled() -> None:
+    """Adam at 0.1 from 1e-6 I, towards samples of the same scale, and after a step of any size."""
+    free = Covariance().free(1e-6 * torch.eye(6, dtype=torch.float64)).requires_grad_()
+    optimiser = torch.optim.Adam([free], lr=0.1)
+    draw = torch.Generator().manual_seed(1)
+    for _ in range(200):
+        optimiser.zero_grad()
+        x = 1e-3 * torch.randn(6, 64, generator=draw, dtype=torch.float64)
+        covariance = Covariance().physical(free)
+        cost = torch.logdet(covariance) + (x * torch.linalg.solve(covariance, x)).sum(0).mean()
+        cost.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        now = Covariance().physical(free.detach())
+        assert Covariance().admits(now)
+        eigenvalues = torch.linalg.eigvalsh(now)
+        assert float(eigenvalues[0]) > 1e-7
+        assert float(eigenvalues[-1]) < 1e-5
+    far = 1e3 * torch.randn(21, generator=draw, dtype=torch.float64)
+    far[[0, 2, 5, 9, 14, 20]] = 0.0
+    assert Covariance().admits(Covariance().physical(far))
+
+
+def test_correlations_of_one_are_no_free_numbers() -> None:
+    with pytest.raises(InputError, match="correlations of 1 to within"):
+        Covariance().free(
+            torch.tensor([[1.0, 1.0 - 1e-12], [1.0 - 1e-12, 1.0]], dtype=torch.float64)
+        )

@@ -82,9 +82,9 @@ def test_frozen_values_are_detached_copies() -> None:
     assert torch.equal(parameters.values()["sensor.bias"], tensor([0.0, 0.5]))
 
 
-def test_set_tuned_gives_a_copy_at_the_same_values() -> None:
+def test_with_tuned_gives_a_copy_at_the_same_values() -> None:
     parameters = ParameterSet(DECLARED, {"noise.sigma": tensor(7.0)})
-    changed = parameters.set_tuned("mix", True).set_tuned("noise.sigma", False)
+    changed = parameters.with_tuned("mix", True).with_tuned("noise.sigma", False)
     assert list(changed.free()) == ["tanh.ab", "mix"]
     assert list(parameters.free()) == ["noise.sigma", "tanh.ab"]
     for name, value in parameters.values().items():
@@ -95,10 +95,10 @@ def test_set_tuned_gives_a_copy_at_the_same_values() -> None:
 def test_every_parameter_can_be_tuned_and_frozen_in_float32(name: str) -> None:
     parameters = ParameterSet(DECLARED, dtype=torch.float32)
     for other in DECLARED:
-        parameters = parameters.set_tuned(other, False)
-    tuned = parameters.set_tuned(name, True)
+        parameters = parameters.with_tuned(other, False)
+    tuned = parameters.with_tuned(name, True)
     assert list(tuned.free()) == [name]
-    again = tuned.set_tuned(name, False).values()[name]
+    again = tuned.with_tuned(name, False).values()[name]
     assert again.dtype == torch.float32
     assert_close(again.double() + 1, DECLARED[name].tensor() + 1, 1e-6)
 
@@ -107,7 +107,7 @@ def test_an_unknown_name_is_an_input_error() -> None:
     with pytest.raises(InputError, match=r"noise\.sgima: no such parameter.*noise\.sigma"):
         ParameterSet(DECLARED, {"noise.sgima": tensor(1.0)})
     with pytest.raises(InputError, match=r"noise\.sgima: no such parameter"):
-        ParameterSet(DECLARED).set_tuned("noise.sgima", True)
+        ParameterSet(DECLARED).with_tuned("noise.sgima", True)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_the_prior_is_a_normal_in_unconstrained_numbers_about_the_published_valu
 
 def test_a_frozen_parameter_has_no_prior() -> None:
     parameters = ParameterSet(DECLARED, {"noise.sigma": tensor(9.0)})
-    assert number(parameters.set_tuned("noise.sigma", False).negative_log_prior()) == 0.0
+    assert number(parameters.with_tuned("noise.sigma", False).negative_log_prior()) == 0.0
 
 
 def test_entries_name_each_number() -> None:
@@ -167,3 +167,16 @@ def test_as_number_turns_tensors_and_lists_into_nested_tuples() -> None:
     assert as_number(tensor([[1.0, 2.0], [3.0, 4.0]])) == ((1.0, 2.0), (3.0, 4.0))
     assert as_number([1, 2]) == (1.0, 2.0)
     assert as_number(3) == 3.0
+
+
+def test_the_old_name_of_with_tuned_says_the_new_one() -> None:
+    with pytest.raises(InputError, match=r"with_tuned\('mix', True\), which gives a copy"):
+        ParameterSet(DECLARED).set_tuned("mix", True)
+
+
+def test_integers_are_real_numbers() -> None:
+    given = ParameterSet(DECLARED, {"noise.sigma": torch.tensor(3)}).values()["noise.sigma"]
+    assert given.dtype == torch.float64
+    assert float(given.detach()) == pytest.approx(3.0, rel=1e-15)
+    with pytest.raises(InputError, match="found torch.bool, expected a tensor of real"):
+        ParameterSet(DECLARED, {"noise.sigma": torch.tensor(True)})
