@@ -178,5 +178,5 @@ def test_integers_are_real_numbers() -> None:
     given = ParameterSet(DECLARED, {"noise.sigma": torch.tensor(3)}).values()["noise.sigma"]
     assert given.dtype == torch.float64
     assert float(given.detach()) == pytest.approx(3.0, rel=1e-15)
-    with pytest.raises(InputError, match="found torch.bool, expected a tensor of real"):
+    with pytest.raises(InputError, match=r"found torch.bool, expected a tensor of real"):
         ParameterSet(DECLARED, {"noise.sigma": torch.tensor(True)})
