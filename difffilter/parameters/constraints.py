@@ -263,7 +263,7 @@ class Covariance(Constraint):
         unit = lower.tril(-1) + identity
         unit = unit * unit.square().sum(-1, keepdim=True).rsqrt()
         floor = _floor(free.dtype)
-        correlations = (1.0 - floor) * (unit @ unit.mT) + floor * identity
+        correlations: Tensor = (1.0 - floor) * (unit @ unit.mT) + floor * identity
         return correlations * (sigma.unsqueeze(-1) * sigma.unsqueeze(-2))
 
     def free(self, physical: Tensor) -> Tensor:
