@@ -109,7 +109,8 @@ class NoiseAndBias:
         if torch.tensor(bias).shape not in ((), (m,)):
             raise InputError(f"{self.name}.bias: expected one number or {m} numbers")
         full = len(shape) == 2
-        spread = torch.tensor(sigma).diagonal().sqrt() if full else torch.tensor(sigma)
+        spread = torch.tensor(sigma, dtype=torch.float64)
+        spread = spread.diagonal().sqrt() if full else spread
         return (
             Parameter(
                 f"{self.name}.sigma",

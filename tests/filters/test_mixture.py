@@ -146,7 +146,7 @@ def test_a_mode_does_not_win_by_rejecting() -> None:
     mixture = Mixture({"tight": tight, "wide": wide}, rate=0.01)
     time = torch.arange(1.0, 11.0).double()
     z = torch.stack([12.0 * time, 0.0 * time], -1)
-    z[5:] += torch.tensor([40.0, -40.0]).double()
+    z[5:] += torch.tensor([40.0, -40.0], dtype=torch.float64)
     track = run(mixture, Log(("x", "y"), time, z), start=start(), engine="torch")
     assert track.final is not None
     assert float(track.final.memory[PROBABILITY].exp()[1]) > 0.99

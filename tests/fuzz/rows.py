@@ -46,7 +46,7 @@ def make(spec: Spec, recipe: Any) -> tuple[Log, Start]:
         return torch.rand(*shape, generator=rng, dtype=torch.float64) < share
 
     time = _times(steps, hazards, some)
-    offset = torch.tensor([5e5, 5.4e6] if "far" in hazards else [100.0, 150.0]).double()
+    offset = torch.tensor([5e5, 5.4e6] if "far" in hazards else [100.0, 150.0], dtype=torch.float64)
     if "at-station" in hazards:
         offset = torch.zeros(2).double()
     velocity = 3.0 * normal(batch, 2)
@@ -66,9 +66,9 @@ def make(spec: Spec, recipe: Any) -> tuple[Log, Start]:
     if "dead-channel" in hazards:
         missing[..., 0] = True
     z = torch.where(missing, math.nan, z)
-    spread = torch.tensor([25.0, 25.0, 4.0, 4.0]).double()
+    spread = torch.tensor([25.0, 25.0, 4.0, 4.0], dtype=torch.float64)
     if "singular" in hazards:
-        spread = torch.tensor([25.0, 0.0, 4.0, 0.0]).double()
+        spread = torch.tensor([25.0, 0.0, 4.0, 0.0], dtype=torch.float64)
     if "no-start-noise" in hazards:
         spread = torch.zeros(4).double()
     if "tiny-start" in hazards:

@@ -6,6 +6,7 @@ What does not meet a limit yet is listed; an entry that is no longer needed fail
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 from statistics import median
 
@@ -157,3 +158,11 @@ def test_every_module_is_on_the_map() -> None:
             assert f"- `{path.removeprefix('difffilter/')}`: " in page, (
                 f"{path}: run python -m docs.make.rooms"
             )
+
+
+def test_no_number_passes_through_single_precision() -> None:
+    """``torch.tensor(0.2).double()`` is 0.20000000298: the precision stands in the call."""
+    pages = [*(ROOT / "docs").glob("*.md"), ROOT / "README.md"]
+    for path in (*FILES, *pages, *(ROOT / "tests").rglob("*.py")):
+        for call in re.findall(r"torch\.tensor\([^()]*\)\)?\.double\(\)", path.read_text("utf-8")):
+            assert path == Path(__file__), f"{path}: {call}"

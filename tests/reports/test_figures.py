@@ -70,7 +70,7 @@ def test_times_of_each_trajectory_and_truth_with_gaps_are_drawn() -> None:
     assert LOG.truth is not None
     truth = LOG.truth.clone()
     truth[3:9, 1] = torch.nan
-    time = LOG.time.unsqueeze(-1) * torch.tensor([1.0, 2.0, 3.0]).double()
+    time = LOG.time.unsqueeze(-1) * torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64)
     log = replace(LOG, time=time, truth=truth)
     figure = track_figure(log, replace(TRACK, time=time), 1)
     assert np.array_equal(drawn(figure, "error")[:, 0], array(time[:, 1]))

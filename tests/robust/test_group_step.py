@@ -189,7 +189,9 @@ def test_a_batch_of_groups_is_each_trajectory_by_itself(
     shapes = list(INNOVATIONS.values())
     z = torch.stack([problem(singles[i], shapes[i], "independent")[3] for i in range(3)])
     constants = filter.prepare()
-    after, record = step(filter, constants, states, Measurement(z, torch.tensor(0.5).double()))
+    after, record = step(
+        filter, constants, states, Measurement(z, torch.tensor(0.5, dtype=torch.float64))
+    )
     for i, single in enumerate(singles):
         alone, alone_record = one(filter, single, z[i])
         assert_close(after.mean[i], alone.mean, 1e-12)

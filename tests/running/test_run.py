@@ -83,7 +83,7 @@ def test_a_row_without_measurements_only_predicts() -> None:
 
 def test_times_of_each_trajectory_are_its_own() -> None:
     assert LOG.start is not None
-    scale = torch.tensor([1.0, 0.5, 2.0]).double()
+    scale = torch.tensor([1.0, 0.5, 2.0], dtype=torch.float64)
     log = replace(LOG, time=LOG.time.unsqueeze(-1) * scale)
     track = run(FILTERS["m-ekf"], log)
     for i in range(3):

@@ -121,7 +121,9 @@ def test_errors_are_averaged_over_runs_then_over_time(
     training: tuple[ModuleType, ModuleType],
 ) -> None:
     _, tables = training
-    squares = torch.tensor([[[1.0, 4.0], [17.0, 4.0]], [[0.0, 0.0], [0.0, 32.0]]]).double()
+    squares = torch.tensor(
+        [[[1.0, 4.0], [17.0, 4.0]], [[0.0, 0.0], [0.0, 32.0]]], dtype=torch.float64
+    )
     errors = tables.Errors(squares, 1.0)
     assert errors.axes == pytest.approx([1.5, 3.0])
     assert errors.mean == pytest.approx(2.25)

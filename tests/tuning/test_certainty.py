@@ -119,8 +119,8 @@ def test_standard_errors_are_the_spread_over_independent_data() -> None:
             values[name].append(float(parameters.frozen_values()[name]))
             errors[name].append(error)
     for name, each in values.items():
-        spread = float(torch.tensor(each).double().std())
-        told = float(torch.tensor(errors[name]).double().mean())
+        spread = float(torch.tensor(each, dtype=torch.float64).std())
+        told = float(torch.tensor(errors[name], dtype=torch.float64).mean())
         # 30 draws know their standard deviation to 13 %: two of those, and a little.
         assert told == pytest.approx(spread, rel=0.3), name
 

@@ -50,7 +50,7 @@ def simulate(seed, count, steps=30):
     inflow = 1.0 + 0.1 * draw[0].cumsum(0)
     level = inflow.cumsum(0) + 5.0
     time = torch.arange(1, steps + 1).double()
-    start = Start(torch.tensor([5.0, 1.0]).double().expand(count, 2), None, 0.0)
+    start = Start(torch.tensor([5.0, 1.0], dtype=torch.float64).expand(count, 2), None, 0.0)
     return Log(("level",), time, level + draw[1], level, ("x",), start=start)
 '''
 
@@ -108,7 +108,7 @@ def test_a_function_logs_and_files_train_alike(model: df.Model, tmp_path: Path) 
         paths.append(tmp_path / f"run{seed}.csv")
         df.write_log(paths[-1], single)
         logs.append(single)
-    start = df.Start(torch.tensor([5.0, 1.0]).double())
+    start = df.Start(torch.tensor([5.0, 1.0], dtype=torch.float64))
     own = replace(model, simulate=None, start=start)
     histories = [
         repr(df.tune(own, train, tuned=["gauge.sigma"], settings=settings).history)
@@ -120,7 +120,9 @@ def test_a_function_logs_and_files_train_alike(model: df.Model, tmp_path: Path) 
 def test_what_is_held_back_is_said_and_is_not_trained_on(model: df.Model) -> None:
     """Other measurements in the last fifth leave the steps as they are, and judge them anew."""
     assert model.simulate is not None
-    log = replace(model.simulate(3, 2), start=df.Start(torch.tensor([[5.0, 1.0]] * 2).double()))
+    log = replace(
+        model.simulate(3, 2), start=df.Start(torch.tensor([[5.0, 1.0]] * 2, dtype=torch.float64))
+    )
     settings = {**SMALL, "window": 8, "patience": 9}
     result = df.tune(model, log, tuned=["gauge.sigma"], settings=settings)
     told = result.checkpoint.training["validation"]
@@ -208,7 +210,7 @@ def test_the_command_line_takes_models_of_ones_own(tank: Path, tmp_path: Path) -
         file.write(
             "\n\ndef plant():\n"
             "    from difffilter import Model\n"
-            "    at = Start(torch.tensor([5.0, 1.0]).double())\n"
+            "    at = Start(torch.tensor([5.0, 1.0], dtype=torch.float64))\n"
             "    return Model(make(), 'plant', start=at)\n"
         )
     sets = [f"--set=tuning.{k}={v}" for k, v in (SMALL | {"window": 12}).items()]

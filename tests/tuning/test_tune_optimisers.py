@@ -115,7 +115,7 @@ def test_a_killed_run_resumes_to_the_same_bits(
 def expansion(loss: float, gradient: list[float]) -> Expansion:
     """A loss whose curvature is 1 in both directions."""
     p = len(gradient)
-    known = {"loss": loss, "terms": {}, "gradient": torch.tensor(gradient).double()}
+    known = {"loss": loss, "terms": {}, "gradient": torch.tensor(gradient, dtype=torch.float64)}
     square = torch.eye(p).double()
     return Expansion(**{name: known.get(name, square) for name in Expansion._fields})
 

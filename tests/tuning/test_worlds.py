@@ -93,7 +93,7 @@ def test_gauss_newton_knows_gradient_and_curvature_of_the_family() -> None:
     from difffilter.running.objectives import sum_losses
 
     sums = sum_losses(job.problem(batch, 0.3), parameters.values())
-    weight = torch.tensor([3.0, 0.0, 1.0]).double() / 4.0
+    weight = torch.tensor([3.0, 0.0, 1.0], dtype=torch.float64) / 4.0
     squared = sums.values.detach().reshape(3, 8, 3, 4)[..., 0].sum(1).diagonal()
     reference = sums.values.detach().reshape(3, 8, 3, 4)[..., 1].sum(1).diagonal()
     worse = (squared > 1.02**2 * reference).double()

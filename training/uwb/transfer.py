@@ -90,7 +90,7 @@ def lasting(world: df.Scenario) -> dict[str, float]:
 def range_errors(log: df.Log, scenario: df.Scenario) -> Errors:
     """Of the measured ranges within 1 m of each channel's median error."""
     sensor = scenario.document["sensors"]["range"]
-    stations = log.inputs.get("range.stations", torch.tensor(sensor["stations"]).to(log.z))
+    stations = log.inputs.get("range.stations", log.z.new_tensor(sensor["stations"]))
     place = torch.full((*log.truth.shape[:-1], 3), sensor["height"], dtype=log.z.dtype)
     place[..., :2] = log.truth[..., [log.truth_states.index(axis) for axis in ("x", "y")]]
     error = log.z - (place.unsqueeze(-2) - stations).norm(dim=-1)
