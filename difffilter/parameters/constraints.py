@@ -263,7 +263,7 @@ class Covariance(Constraint):
         unit = lower.tril(-1) + identity
         unit = unit * unit.square().sum(-1, keepdim=True).rsqrt()
         floor = _floor(free.dtype)
-        correlations: Tensor = (1.0 - floor) * (unit @ unit.mT) + floor * identity
+        correlations = (1.0 - floor) * (unit @ unit.mT) + floor * identity
         return correlations * (sigma.unsqueeze(-1) * sigma.unsqueeze(-2))
 
     def free(self, physical: Tensor) -> Tensor:
@@ -277,7 +277,7 @@ class Covariance(Constraint):
                 f"covariance: found correlations of 1 to within {floor:.0e}, expected such that "
                 "each number has an error of its own"
             )
-        unit = (lower / lower.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)).tril(-1)
+        unit: Tensor = (lower / lower.diagonal(dim1=-2, dim2=-1).unsqueeze(-1)).tril(-1)
         rows, cols = torch.tril_indices(*physical.shape[-2:])
         return (unit + torch.diag_embed(sigma.log()))[..., rows, cols]
 
