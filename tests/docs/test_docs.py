@@ -41,6 +41,7 @@ from difffilter.filters.filter import RULES, STANDARDISATIONS
 from difffilter.logs.family import ROLES
 from difffilter.motions import blocks as motion
 from difffilter.motions.registry import MOTIONS
+from difffilter.registry import Registry
 from difffilter.robust import gate, groups, recovery
 from difffilter.scenario import (
     checkpoint,
@@ -60,6 +61,9 @@ from difffilter.tuning.loop import tune
 from difffilter.weights.registry import WEIGHTS
 
 ROOT = Path(__file__).parents[2]
+REGISTRIES: tuple[Registry[Any], ...] = (
+    WEIGHTS, ADAPTATIONS, BASELINES, LOSSES, SENSORS, MOTIONS,
+)  # fmt: skip
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 EXAMPLE = DOCS / "example.toml"
@@ -115,7 +119,7 @@ def sections(page: Path) -> dict[str, str]:
 @pytest.fixture
 def only_built_in() -> Iterator[None]:
     """Take back what an example registers."""
-    known = [(registry, set(registry)) for registry in (WEIGHTS, ADAPTATIONS, BASELINES, LOSSES)]
+    known = [(registry, set(registry)) for registry in REGISTRIES]
     yield
     for registry, names in known:
         for name in set(registry) - names:
