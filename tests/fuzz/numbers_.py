@@ -122,7 +122,7 @@ def shrink(drawn: dict[str, Any], what: str) -> dict[str, Any]:
         "motion": "discrete", "sensors": "position", "weight": "plain", "iterations": 0,
         "weigh_prior": False, "mad": False, "scope": "channel", "distance": "rms",
         "standardise": None, "gate": "none", "recovery": "none", "adaptation": "none",
-        "federated": False, "linearise": "taylor", "common": False, "fusion": False,
+        "federated": False, "linearise": "taylor", "common": False, "fusion": False, "modes": False,
     }  # fmt: skip
     best = drawn
     quiet = Tally(out=None)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -20,6 +21,7 @@ from difffilter import (
     Gate,
     InnovationMatching,
     InputError,
+    Mixture,
     MultipleFading,
     Parameter,
     Position,
@@ -64,6 +66,7 @@ def draw(rng: random.Random) -> Spec:
         "common": rng.random() < 0.2,
         "noise": 10.0 ** rng.uniform(-1.0, 1.0),
         "fusion": rng.random() < 0.1,
+        "modes": rng.random() < 0.1,
     }
 
 
@@ -143,7 +146,7 @@ def build(spec: Spec) -> Any | None:
         if scope == "named":
             channels = [name for sensor in sensors for name in sensor.channels]
             scope = {"first": tuple(channels[:2])}
-        return Filter(
+        filter = Filter(
             motion,
             sensors,
             WEIGHTS[spec["weight"]],
@@ -159,5 +162,10 @@ def build(spec: Spec) -> Any | None:
             adaptation=_adaptation(spec),
             linearise=spec["linearise"],
         )
+        if not spec["modes"]:
+            return filter
+        calm = replace(filter, motion=ConstantVelocity(2, acceleration=0.1))
+        turn = replace(filter, motion=CoordinatedTurn(2, acceleration=0.5, turn_rate=0.1))
+        return Mixture({"calm": calm, "turn": turn}, rate=0.1)
     except InputError:
         return None
