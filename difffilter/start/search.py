@@ -187,8 +187,9 @@ def search(problem: Problem, iterations: int) -> Found:
     row = torch.arange(len(pick))
     best, spread = unknown[pick, row], factor[pick, row]
     rival = _rival(unknown, factor, value, best, spread, axes)
-    flat = _flat(problem, best, spread, value.amin(0))
     spread, contradicted, alone = _support(problem, best, spread)
+    # With the spread that the residuals show: noise larger than declared is no valley.
+    flat = _flat(problem, best, spread, value.amin(0))
     return Found(best, spread, rival, flat, contradicted, alone)
 
 
