@@ -157,13 +157,13 @@ class TaylorLeastSquares(Snapshot):
             return self.weight(s, constants)
 
         return gauss_newton(
-            self.sensors,
-            constants,
-            log.z,
-            log.inputs,
-            start.mean[..., : self.axes],
-            None if self.weight is plain else weigh,
-            self.iterations,
+            sensors=self.sensors,
+            constants=constants,
+            z=log.z,
+            inputs=log.inputs,
+            start=start.mean[..., : self.axes],
+            weigh=None if self.weight is plain else weigh,
+            iterations=self.iterations,
         )
 
 

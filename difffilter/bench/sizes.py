@@ -32,13 +32,30 @@ class Sizes:
 
 
 FULL = Sizes(
-    ((100, 1), (100, 256), (100, 4096), (100, 65536), (10_000, 1), (10_000, 16), (10_000, 64)),
-    (100, 10_000, 16),
-    5,
-    15,
-    3.0,
-    ("EKF, imq weights", "airport-mlat/m-ekf-all-rows", "airport-mlat/m-ekf-mad"),
-    120.0,
-    {"trajectories": 1000},
+    speed=(
+        (100, 1),
+        (100, 256),
+        (100, 4096),
+        (100, 65536),
+        (10_000, 1),
+        (10_000, 16),
+        (10_000, 64),
+    ),
+    memory=(100, 10_000, 16),
+    remembering=5,
+    repetitions=15,
+    seconds=3.0,
+    compiled=("EKF, imq weights", "airport-mlat/m-ekf-all-rows", "airport-mlat/m-ekf-mad"),
+    patience=120.0,
+    tuning={"trajectories": 1000},
 )
-QUICK = Sizes(((20, 64),), (20, 200, 8), 2, 3, 0.3, ("EKF, imq weights",), 60.0, None)
+QUICK = Sizes(
+    speed=((20, 64),),
+    memory=(20, 200, 8),
+    remembering=2,
+    repetitions=3,
+    seconds=0.3,
+    compiled=("EKF, imq weights",),
+    patience=60.0,
+    tuning=None,
+)

@@ -90,7 +90,10 @@ def compiled(
     key = (*traced_key, kind)
     found = _MADE.get(key)
     if found is None:
-        found = job.filter, _compiled(job, rows, lead, kind, write, objective, traced_key)
+        made = _compiled(
+            job, rows, lead, kind, write=write, objective=objective, traced_key=traced_key
+        )
+        found = job.filter, made
         _keep(_MADE, key, found)
     else:
         _MADE.move_to_end(key)
@@ -118,9 +121,14 @@ def _compiled(
     traced = _TRACED[traced_key][1]
     source = write(traced)
     made = Compiled(
-        build(source), traced.constants, traced.state, traced.row, traced.output,
-        tuple(map(len, traced.sums)), max(traced.program.size, 1),
-    )  # fmt: skip
+        library=build(source),
+        constants=traced.constants,
+        state=traced.state,
+        row=traced.row,
+        output=traced.output,
+        sums=tuple(map(len, traced.sums)),
+        kept=max(traced.program.size, 1),
+    )
     name = name or fingerprint(job.filter, traced_key[1:], kind)
     if name is not None:
         layouts = [list(layout.shapes.items()) for layout in made[1:5]]
@@ -141,7 +149,15 @@ def _remembered(name: str) -> Compiled | None:
         sums, kept = tuple(map(int, said["sums"])), int(said["kept"])
     except (ValueError, TypeError, KeyError):
         return None
-    return Compiled(library, constants, state, row, output, sums, kept)
+    return Compiled(
+        library=library,
+        constants=constants,
+        state=state,
+        row=row,
+        output=output,
+        sums=sums,
+        kept=kept,
+    )
 
 
 def _trace(job: Job, rows: Mapping[str, Tensor], lead: int, objective: Objective | None) -> Traced:

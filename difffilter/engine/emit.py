@@ -199,5 +199,11 @@ class Step:
         inverse = self.program.reciprocal(node)
         beside = inverse is not None and self.plan.home.get(inverse, -3) == segment
         return tangent(
-            op, node, args, value, simple, moved, value(inverse) if inverse and beside else None
+            op=op,
+            node=node,
+            args=args,
+            value=value,
+            keep=simple,
+            moved=moved,
+            inverse=value(inverse) if inverse and beside else None,
         )

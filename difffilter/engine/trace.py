@@ -178,14 +178,17 @@ def trace(
     record, found = found[: len(Record._fields)], found[len(Record._fields) :]
     output = Layout({name: np.shape(x) for name, x in zip(Record._fields, record, strict=True)})
     count = len(objective.losses) if objective else 0
+    constant, before, given = layouts
     return Traced(
-        program,
-        *layouts,
-        output,
-        _nodes(new_state),
-        _nodes(record),
-        [_nodes([part]) for part in found[:count]],
-        _nodes(found[count:]),
+        program=program,
+        constants=constant,
+        state=before,
+        row=given,
+        output=output,
+        next_state=_nodes(new_state),
+        results=_nodes(record),
+        sums=[_nodes([part]) for part in found[:count]],
+        residuals=_nodes(found[count:]),
     )
 
 

@@ -91,7 +91,15 @@ def linearise(
 
     def again(mean: Tensor, deviations: Tensor) -> Linearised:
         here = predicted._replace(mean=mean, deviations=deviations)
-        return _linearise(recipe, constants, here, measurement, present, again, foretold)
+        return _linearise(
+            recipe=recipe,
+            constants=constants,
+            predicted=here,
+            measurement=measurement,
+            present=present,
+            again=again,
+            foretold=foretold,
+        )
 
     if foretold:
         present = present & torch.isfinite(measurement.inputs["fault.variance"])

@@ -77,7 +77,15 @@ def pulse(time: Array, values: Array) -> Pulse:
     here = ~np.isnan(values)
     own, known = time[here], values[here]
     if not len(known):
-        return Pulse(0, 0.0, (float(np.ptp(time)), float(time[0])), np.nan, np.nan, 0, "no value")
+        return Pulse(
+            count=0,
+            rate=0.0,
+            longest=(float(np.ptp(time)), float(time[0])),
+            low=np.nan,
+            high=np.nan,
+            stuck=0,
+            dead="no value",
+        )
     steps = np.diff(own)
     forward = steps[steps > 0.0]
     edges = np.flatnonzero(np.diff(known) != 0.0)

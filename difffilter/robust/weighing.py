@@ -307,13 +307,13 @@ def _record(
     linear: Linearised, s: Tensor, weight: Tensor, prior: Tensor, gate: Tensor, present: Tensor
 ) -> Record:
     return Record(
-        linear.innovation,
-        linear.observed,
-        linear.independent,
-        s,
-        weight,
-        prior,
-        gate,
-        present,
-        torch.zeros_like(present),
+        innovation=linear.innovation,
+        observed=linear.observed,
+        noise=linear.independent,
+        standardised=s,
+        weight=weight,
+        prior_weight=prior,
+        gate=gate,
+        present=present,
+        isolated=torch.zeros_like(present),
     )

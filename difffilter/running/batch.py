@@ -147,13 +147,13 @@ def eager(
         deviations.append(current.deviations)
         records.append(record)
     return Track(
-        filter.states,
-        filter.channels,
-        log.time,
-        torch.stack(means),
-        torch.stack(deviations),
-        Record(*(torch.stack(field) for field in zip(*records, strict=True))),
-        current,
+        states=filter.states,
+        channels=filter.channels,
+        time=log.time,
+        mean=torch.stack(means),
+        deviations=torch.stack(deviations),
+        record=Record(*(torch.stack(field) for field in zip(*records, strict=True))),
+        final=current,
     )
 
 

@@ -136,7 +136,15 @@ def inspect_log(
             shared[sensor] = common
         if len(stats) == len(names):
             proposals.append(_proposal(sensor, unit, stats, common))
-    return Inspection(found.timing, pulses, start, told, shared, tuple(proposals), errors)
+    return Inspection(
+        timing=found.timing,
+        pulses=pulses,
+        start=start,
+        residuals=told,
+        common=shared,
+        proposals=tuple(proposals),
+        errors=errors,
+    )
 
 
 def _start(case: Case, recipe: Any, log: Log) -> dict[str, tuple[float, float]] | str:
@@ -200,8 +208,9 @@ def _proposal(
             "as new in each row is too sure; adapt it, or tune with a consistency loss"
         )
     return Proposal(
-        name, tuple(stats), tuple(r.sigma for r in each), tuple(r.bias for r in each), unit,
-        error, common is not None, tuple(reasons),
+        sensor=name, channels=tuple(stats), sigma=tuple(r.sigma for r in each),
+        bias=tuple(r.bias for r in each), unit=unit,
+        error=error, common=common is not None, reasons=tuple(reasons),
     )  # fmt: skip
 
 

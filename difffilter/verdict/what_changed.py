@@ -75,7 +75,15 @@ def changes(
         entries = tuple((n, float(b), float(a), errors.get(n)) for n, b, a in each)
         free = ratio[1] <= 1.0 and ratio[0] < 1.01
         keep = free and (honest(reverted.nees) or not honest(tuned.nees))
-        change = Change(name, parameter.unit, entries, ratio, reverted.nees, keep, parameter.given)
+        change = Change(
+            name=name,
+            unit=parameter.unit,
+            entries=entries,
+            ratio=ratio,
+            nees_per_state=reverted.nees,
+            keep=keep,
+            given=parameter.given,
+        )
         found.append(change)
     return found
 

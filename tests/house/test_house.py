@@ -30,20 +30,10 @@ LONG_FUNCTIONS: set[tuple[str, str]] = {
     ("difffilter/start/measurements.py", "from_measurements"),
     ("difffilter/tuning/loop.py", "tune"),
 }
+#: Functions of any number of names.
 LONG_CALLS: set[tuple[str, str]] = {
-    ("difffilter/logs/timing.py", "Pulse"),
-    ("difffilter/scenario/inspection.py", "Inspection"),
-    ("difffilter/scenario/inspection.py", "Proposal"),
-    ("difffilter/verdict/what_changed.py", "Change"),
-    ("difffilter/baselines/least_squares.py", "gauss_newton"),
-    ("difffilter/bench/sizes.py", "Sizes"),
-    ("difffilter/engine/emit.py", "tangent"),
     ("difffilter/engine/rules/elementary.py", "unary"),
     ("difffilter/engine/rules/shapes.py", "rule"),
-    ("difffilter/engine/trace.py", "Traced"),
-    ("difffilter/filters/prediction.py", "_linearise"),
-    ("difffilter/robust/weighing.py", "Record"),
-    ("difffilter/running/batch.py", "Track"),
 }
 SHADOWED: set[str] = set()
 CIRCLES: set[frozenset[str]] = set()
