@@ -76,12 +76,12 @@ def make(
     )
 
 
-def fused(rule: str = "cubature", **options: object) -> Filter:
+def fused(rule: str = "cubature", **options: object) -> Fusion:
     """The precise sensor and two coarse ones."""
     sensors = (position("r"), position("a1", 10.0), position("a2", 10.0))
     motion = ConstantVelocity(2, "state", 1.0)
     options = {"start_sigma": SIGMA} | options
-    return Filter(motion, sensors, fusion=Fusion(2), linearise=rule, **options)  # type: ignore[arg-type]
+    return Fusion(motion, sensors, linearise=rule, **options)  # type: ignore[arg-type]
 
 
 def bent_log(filter: Filter, steps: int = 12, runs: int = 3, seed: int = 8) -> Log:

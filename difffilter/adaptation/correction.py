@@ -66,11 +66,7 @@ class PredictionCorrection(Passive):
         """The step linearised at the corrected mean, with the noise that it had."""
         d = excess(linearised, present, constants)
         mean = corrected(linearised, d, present, self.axes, memory.get(BEFORE))
-        n = mean.shape[-1]
-        deviations = linearised.deviations[..., : linearised.own]
-        if linearised.own > n:
-            deviations = deviations[..., :n] * 2.0**0.5
-        moved = linearised.again(mean, deviations)
+        moved = linearised.again(mean, linearised.factor)
         moved = moved._replace(independent=linearised.independent, total=linearised.total)
         return moved, memory
 

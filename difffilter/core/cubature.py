@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-__all__ = ["doubled", "halves", "moments", "points"]
+__all__ = ["doubled", "halves", "moments", "points", "square"]
 
 
 def points(mean: Tensor, deviations: Tensor) -> Tensor:
@@ -22,6 +22,11 @@ def moments(values: Tensor) -> tuple[Tensor, Tensor]:
     mean = values.mean(0)
     deviations = (values - mean) / len(values) ** 0.5
     return mean, deviations.movedim(0, -1)
+
+
+def square(columns: Tensor, n: int) -> Tensor:
+    """X (..., n, n) that :func:`doubled` columns stand for; n columns are given back."""
+    return columns if columns.shape[-1] == n else columns[..., :n] * 2.0**0.5
 
 
 def halves(columns: Tensor, n: int) -> Tensor:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from difffilter.core.cubature import square
 from difffilter.core.innovation import innovation_variance
 
 __all__ = ["Linearised"]
@@ -45,6 +46,11 @@ class Linearised(NamedTuple):
     def own(self) -> int:
         """How many of the first columns are the state's: n, or 2n with cubature."""
         return self.deviations.shape[-1] - self.common
+
+    @property
+    def factor(self) -> Tensor:
+        """X (..., n, n) of the state, from cubature's 2n columns too."""
+        return square(self.deviations[..., : self.own], self.size)
 
     @property
     def innovation_variance(self) -> Tensor:

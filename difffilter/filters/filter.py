@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from torch import Tensor
 
@@ -27,9 +26,6 @@ from difffilter.robust.recovery import STREAK, Recovery
 from difffilter.robust.weighing import STANDARDISATIONS, Weighing
 from difffilter.weights.registry import Weight, plain
 
-if TYPE_CHECKING:
-    from difffilter.filters.fusion import Fusion
-
 __all__ = ["RULES", "STANDARDISATIONS", "Filter"]
 
 
@@ -39,8 +35,6 @@ class Filter(Modelled):
 
     Attributes:
         motion, sensors: the models; channels are those of the sensors, in order.
-        fusion: distributed fusion of subsystems, one for each sensor, in place of all of
-            the above (see :mod:`difffilter.filters.fusion`), or None.
         linearise: ``taylor`` (first order, EKF) or ``cubature`` (SRCKF, see
             :mod:`difffilter.core.cubature`), of motion and sensors.
         weight: weight function of the measurement rows.
@@ -101,24 +95,12 @@ class Filter(Modelled):
     shares: tuple[float, ...] = ()
     adaptation: Adaptation | None = None
     clairvoyant: bool = False
-    fusion: Fusion | None = None
     isolate: bool | None = None
 
     def __post_init__(self) -> None:
         if self.standardise is None:
             default = "noise" if self.iterations else "innovation"
             object.__setattr__(self, "standardise", default)
-        if self.fusion is not None:
-            self.fusion.check(self.sensors)
-            beside = (
-                self.weight is not plain, self.iterations, self.gate, self.recovery,
-                self.adaptation, self.federated, self.clairvoyant, self.grouped,
-                self.distance != "rms", self.standardise != "innovation",
-            )  # fmt: skip
-            if any(beside):
-                raise InputError(
-                    "fusion: expected no weight, scope, gate, recovery or adaptation with it"
-                )
         if self.shares and not self.federated:
             raise InputError("shares: expected federated with them")
         _ = self.weighing  # checked when the filter is made
@@ -162,12 +144,6 @@ class Filter(Modelled):
         return replace(self, federated=False, shares=()) if self.federated else self
 
     @cached_property
-    def subsystems(self) -> tuple[Filter, ...]:
-        """One plain filter per sensor, of the same motion and linearisation, for fusion."""
-        bare = replace(self, fusion=None, overrides={}, start_sigma=None)
-        return tuple(replace(bare, sensors=(sensor,)) for sensor in self.sensors)
-
-    @cached_property
     def members(self) -> tuple[tuple[int, ...], ...]:
         """Channels of each sensor."""
         return channel_groups("sensor", self.channels, [len(s.channels) for s in self.sensors])
@@ -185,7 +161,7 @@ class Filter(Modelled):
 
     @property
     def _more_parameters(self) -> tuple[Parameter, ...]:
-        parts = (self.weight, self.gate, self.recovery, self.adaptation, self.fusion)
+        parts = (self.weight, self.gate, self.recovery, self.adaptation)
         own = tuple(p for part in parts if part is not None for p in part.parameters)
         return (*own, *self.weighing.floor)
 
@@ -214,8 +190,6 @@ class Filter(Modelled):
         memory = self.adaptation.memory(mean, len(self.channels)) if self.adaptation else {}
         if self.recovery is not None:
             memory = memory | self.recovery.memory(mean, len(self.groups))
-        if self.fusion is not None:
-            memory = memory | self.fusion.start(self, mean, deviations)
         return Belief(mean, deviations, memory)
 
     def _recovered(
@@ -235,8 +209,6 @@ class Filter(Modelled):
         self, constants: Constants, belief: Belief, measurement: Measurement
     ) -> tuple[Belief, Record]:
         """Predict to the measurement's time, linearise, weigh, condition."""
-        if self.fusion is not None:
-            return self.fusion.step(self, constants, belief, measurement)
         predicted = predict(self, constants, belief, measurement, self.adaptation)
         linear, present = linearise(self, constants, predicted, measurement, self.clairvoyant)
         left_out = None

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from difffilter.core.compression import compress
 from difffilter.core.conditioning import condition
 from difffilter.core.equations import Conditioned
 from difffilter.core.linalg import product
+from difffilter.core.merge import merged_estimate
 from difffilter.errors import InputError
 from difffilter.parameters.values import Constants
 
@@ -99,17 +99,10 @@ class Federation:
             torch.where(own > 0.0, noise, 1.0),
         )
         shift, deviations = local.shift[0], local.deviations[0]
-        certain, zero = torch.ones_like(shift), torch.zeros_like(shift)
         for i in range(1, self.systems):
-            other = local.deviations[i]
-            fused = condition(
-                torch.cat([deviations, torch.zeros_like(other)], dim=-1),
-                torch.cat([deviations, other], dim=-1),
-                local.shift[i] - shift,
-                certain,
-                zero,
+            shift, deviations = merged_estimate(
+                shift, deviations, local.shift[i], local.deviations[i]
             )
-            shift, deviations = shift + fused.shift, compress(fused.deviations)
         moved = (observed @ shift.unsqueeze(-1)).squeeze(-1)
         return Conditioned(
             (rows @ shift.unsqueeze(-1)).squeeze(-1),

@@ -113,8 +113,6 @@ def check_smoothable(recipe: object) -> Filter:
         found = "a mixture, whose modes mix at every row"
     elif not isinstance(recipe, Filter):
         raise InputError(f"smooth: found {type(recipe).__name__}, expected a filter")
-    elif recipe.fusion is not None:
-        found = "fusion of subsystems"
     elif recipe.adaptation is not None:
         found = "an adaptation, which changes the prediction by what it saw"
     elif recipe.recovery is not None and recipe.recovery.action == "inflate":

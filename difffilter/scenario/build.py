@@ -12,6 +12,7 @@ from difffilter.baselines.least_squares import Snapshot
 from difffilter.baselines.registry import BASELINES, Given
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.fusion import Fusion
 from difffilter.filters.mixture import Mixture
 from difffilter.filters.recipe import Recipe
 from difffilter.parameters.parameters import Number
@@ -19,6 +20,7 @@ from difffilter.robust.groups import channel_groups
 from difffilter.scenario.options import OPTIONS
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.systems import MotionSpec, ParameterSpec, SystemSpec
+from difffilter.scenario.table import Table
 from difffilter.sensors.builtin import TDOA, PositionSensor
 from difffilter.weights.registry import WEIGHTS
 
@@ -105,7 +107,24 @@ def _bare(
         return BASELINES[spec.estimator](given)
     if spec.modes:
         return _mixture(spec, given, motion, parameters)
+    if spec.options["fusion"] != "none":
+        return _fusion(spec, given)
     return _filter(spec.options, given)
+
+
+def _fusion(spec: SystemSpec, given: Given) -> Fusion:
+    """A subsystem for each sensor; InputError for options that belong to a filter."""
+    blank = Table({}, spec.where)
+    for key, option in OPTIONS.items():
+        if key not in ("fusion", "linearise") and spec.options[key] != option.read(blank, key):
+            raise InputError(f"{key}: expected no weight, gate or other option with fusion")
+    return Fusion(
+        given.motion,
+        given.sensors,
+        axes=given.axes,
+        linearise=spec.options["linearise"],
+        start_sigma=given.start_sigma,
+    )
 
 
 def _filter(wanted: Mapping[str, Any], given: Given) -> Filter:
@@ -113,7 +132,9 @@ def _filter(wanted: Mapping[str, Any], given: Given) -> Filter:
     counts = [len(sensor.channels) for sensor in given.sensors]
     channels = [c for sensor in given.sensors for c in sensor.channels]
     host = Host(WEIGHTS[wanted["weight"]], channel_groups("sensor", channels, counts), given.axes)
-    options = {key: option.make(wanted[key], host) for key, option in OPTIONS.items()}
+    options = {
+        key: option.make(wanted[key], host) for key, option in OPTIONS.items() if key != "fusion"
+    }
     return Filter(given.motion, given.sensors, start_sigma=given.start_sigma, **options)
 
 

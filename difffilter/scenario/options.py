@@ -13,7 +13,6 @@ from difffilter.adaptation.chain import Chain
 from difffilter.adaptation.protocol import Adaptation
 from difffilter.adaptation.registry import ADAPTATIONS, Host
 from difffilter.filters.filter import RULES, STANDARDISATIONS
-from difffilter.filters.fusion import Fusion
 from difffilter.robust.gate import ACTIONS, Gate
 from difffilter.robust.groups import DISTANCES, SCOPES, Scope
 from difffilter.robust.recovery import RECOVERIES, Recovery
@@ -108,6 +107,6 @@ OPTIONS: dict[str, Option] = {
     "shares": Option(lambda table, key: table.numbers(key, None, ())),
     "adaptation": Option(_adaptation, _plug_in),
     "linearise": Option(_choice(RULES, "taylor")),
-    "fusion": _named(FUSIONS[1:], lambda word, host: Fusion(host.axes)),
+    "fusion": Option(_choice(FUSIONS, "none")),
     "clairvoyant": Option(_flag),
 }

@@ -43,7 +43,7 @@ def nominal_toll(filter: Recipe, values: Values, points: int = 20001) -> Toll | 
     """
     if not isinstance(filter, Filter):
         return None
-    if filter.grouped is not None or filter.fusion is not None or filter.mad:
+    if filter.grouped is not None or filter.mad:
         return None
     constants = filter.prepare(values)
     share = (torch.arange(points, dtype=torch.float64) + 0.5) / points

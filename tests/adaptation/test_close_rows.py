@@ -24,7 +24,7 @@ THREE = tuple(Position(name=name, sigma=2.0) for name in "abc")
 FILTERS = {
     "correction": Filter(MOTION, ONE, adaptation=PredictionCorrection()),
     "chain": Filter(MOTION, ONE, adaptation=Chain((InnovationMatching(), PredictionCorrection()))),
-    "fusion": Filter(MOTION, THREE, fusion=Fusion()),
+    "fusion": Fusion(MOTION, THREE),
 }
 
 

@@ -23,20 +23,16 @@ from oracles import cubature
 from stream_cases import stream
 from torch import Tensor
 
-from difffilter.adaptation import StrongTracking
+from difffilter import load_scenario
 from difffilter.adaptation.matching import FLAG, MATCHED
 from difffilter.core.beliefs import Belief, Measurement
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
 from difffilter.filters.fusion import Fusion
 from difffilter.filters.stepping import step
 from difffilter.motions.blocks import ConstantVelocity
-from difffilter.robust.gate import Gate
-from difffilter.robust.recovery import Recovery
 from difffilter.running.batch import run
 from difffilter.running.tracker import Tracker
 from difffilter.sensors.builtin import Position, Range
-from difffilter.weights.registry import huber
 
 NAN = torch.nan
 DEVIATIONS = torch.diag(tensor(P0.diagonal() ** 0.5))
@@ -127,7 +123,6 @@ def test_the_start_is_that_of_every_subsystem() -> None:
     assert len(filter.subsystems) == 3
     for i, part in enumerate(filter.subsystems):
         assert part.sensors == filter.sensors[i : i + 1]
-        assert part.fusion is None
         assert part.linearise == "cubature"
 
 
@@ -214,22 +209,26 @@ def test_a_wrong_fusion_is_an_input_error() -> None:
     message = "fusion: expected three sensors or more of one kind and size"
     for wrong in (sensors[:2], kinds):
         with pytest.raises(InputError, match=message):
-            Filter(motion, wrong, fusion=Fusion(2))
-    beside = (
-        {"weight": huber},
-        {"weight": huber, "iterations": 2},
-        {"gate": Gate("reject")},
-        {"recovery": Recovery("widen"), "gate": Gate("reject")},
-        {"adaptation": StrongTracking()},
-        {"federated": True},
-        {"clairvoyant": True},
-    )
-    for options in beside:
-        with pytest.raises(
-            InputError, match="fusion: expected no weight, scope, gate, recovery or adap"
-        ):
-            Filter(motion, sensors, fusion=Fusion(2), **options)  # type: ignore[arg-type]
-    assert Filter(motion, sensors, fusion=Fusion(2)).channels[:2] == ("x_a", "y_a")
+            Fusion(motion, wrong)
+    assert Fusion(motion, sensors).channels[:2] == ("x_a", "y_a")
+
+
+BESIDE: tuple[dict[str, object], ...] = (
+    {"weight": "huber"},
+    {"weight": "huber", "iterations": 2},
+    {"gate": "reject"},
+    {"recovery": "widen", "gate": "reject"},
+    {"adaptation": "strong-tracking"},
+    {"federated": True},
+    {"clairvoyant": True},
+)
+
+
+@pytest.mark.parametrize("options", BESIDE)
+def test_options_of_a_filter_do_not_go_with_fusion(options: dict[str, object]) -> None:
+    changed = {f"systems.fusion.{key}": value for key, value in options.items()}
+    with pytest.raises(InputError, match="expected no weight, gate or other option with fusion"):
+        load_scenario("manoeuvre-fusion-1", changed)
 
 
 def test_the_soft_form_becomes_the_hard_one_as_the_temperature_falls() -> None:

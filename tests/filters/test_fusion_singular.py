@@ -24,7 +24,7 @@ KNOWN = {
 
 def case() -> tuple[Filter, Log]:
     sensors = tuple(Position(name=name, sigma=2.0) for name in "abc")
-    filter = Filter(ConstantVelocity(), sensors, fusion=Fusion())
+    filter = Fusion(ConstantVelocity(), sensors)
     time = 0.5 * torch.arange(20).double()
     path = torch.stack([10.0 * time, 0.0 * time], dim=-1).repeat(1, 3)
     noise = torch.randn(20, 6, generator=torch.Generator().manual_seed(1), dtype=torch.float64)

@@ -141,7 +141,7 @@ def build(spec: Spec) -> Any | None:
         if spec["fusion"]:
             from difffilter import Fusion
 
-            return Filter(motion, sensors, fusion=Fusion(2), linearise=spec["linearise"])
+            return Fusion(motion, sensors, linearise=spec["linearise"])
         scope: Any = spec["scope"]
         if scope == "named":
             channels = [name for sensor in sensors for name in sensor.channels]

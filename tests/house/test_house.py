@@ -23,7 +23,6 @@ LONG_FILES: set[str] = {
 LONG_FUNCTIONS: set[tuple[str, str]] = {
     ("difffilter/core/sweep_gradient.py", "backward"),
     ("difffilter/engine/trace.py", "trace"),
-    ("difffilter/filters/fusion.py", "step"),
     ("difffilter/filters/prediction.py", "_linearise"),
     ("difffilter/start/bearings.py", "from_bearings"),
     ("difffilter/start/fit.py", "gauss_newton"),
