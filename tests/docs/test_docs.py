@@ -467,8 +467,9 @@ def test_every_parameter_and_its_default_is_documented() -> None:
         for number in value if isinstance(value, tuple) else (value,):
             assert re.search(rf"(?<![\d.]){re.escape(f'{number:.4g}')}", row), parameter.name
     for name in difffilter.scenario_names():
-        for parameter in load_scenario(name).declarations():
-            field = parameter.split(".")[1]
+        for declared in load_scenario(name).declarations():
+            *_, component, field = declared.split(".")  # a mode's own: MODE.COMPONENT.NAME
+            parameter = f"{component}.{field}"
             assert f"`{parameter}`" in text or f"`NAME.{field}`" in text, parameter
 
 
