@@ -40,7 +40,7 @@ def digits(value: float) -> str:
     """A number for a table: three decimals from 0.1 to 1000, else its leading digits.
 
     Example:
-        >>> digits(6.1415), digits(0.00034), digits(12345.6), digits(0.0)
+        >>> digits(6.1416), digits(0.00034), digits(12345.6), digits(0.0)
         ('6.142', '0.00034', '1.235e+04', '0')
     """
     size = abs(value)

@@ -420,7 +420,7 @@ TOGETHER: list[tuple[str, dict[str, Any], str]] = [
         {"faults.f": {"kind": "dropout"}},
         "faults: found {'f': {'kind': 'dropout'}}, expected non",
     ),
-    (U, {"start.kind": "true"}, "start.kind: found 'true', expected 'truth', 'measurements'"),
+    (U, {"start.kind": "true"}, "start.kind: found 'true', expected one of truth, measurements"),
     (U, {"runs.new": {"sensors.range.stations.9": 1.0}}, "runs.new: sensors.range.stations.9: fou"),
     (U, {"runs.new": {"sensors.range.hight": 1.0}}, "sensors.range.hight: unknown key, did you"),
 ]

@@ -19,7 +19,7 @@ from difffilter.scenario.scenario import load_scenario
 BEARING_SYSTEMS = "ls weighted-ls ekf robust robust-noise gated clairvoyant"
 MANOEUVRE_SYSTEMS = (
     "srckf robust-srckf lcasrckf stf-srckf rmckf fusion "
-    "pooled-lcasrckf pooled-stf-srckf pooled-robust"
+    "pooled-lcasrckf pooled-stf-srckf pooled-robust imm imm-turns imm-turns-gated"
 )
 SYSTEMS = {
     "airport-mlat": "taylor-ls chan-ls ekf chan-ekf adaptive-ekf huber m-ekf m-ekf-all-rows "

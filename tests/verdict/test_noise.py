@@ -14,6 +14,7 @@ import difffilter as df
 from difffilter import ConstantVelocity, Filter, InputError, Log, Position, load_scenario, simulate
 from difffilter.comparison.held_out import HeldOut
 from difffilter.robust.gate import Gate
+from difffilter.scenario.model import tuning_alone
 from difffilter.scoring import losses
 from difffilter.scoring.metrics import FEW, paired_ratio
 from difffilter.scoring.truth import measurement_errors, true_states
@@ -23,7 +24,6 @@ from difffilter.verdict.noise_estimates import (
     noise_names,
     plain_filter,
     sample_covariances,
-    tuning_only,
 )
 from difffilter.verdict.nominal import clean, nominal_toll
 from difffilter.weights.registry import WEIGHTS
@@ -109,7 +109,7 @@ def test_the_plain_filter_has_the_same_noise_and_nothing_robust() -> None:
 
 def test_noise_is_what_scales_q_and_r() -> None:
     assert set(noise_names(m_ekf())) == {"motion.acceleration", "tdoa.sigma"}
-    alone = tuning_only(m_ekf(), ["tdoa.sigma"])
+    alone = tuning_alone(m_ekf(), ["tdoa.sigma"])
     assert [n for n, p in alone.declarations.items() if p.tuned] == ["tdoa.sigma"]
 
 
