@@ -11,6 +11,7 @@ from helpers import assert_close
 from torch import Tensor
 
 from difffilter import Filter, Log, load_scenario, simulate, started
+from difffilter.filters.recipe import Recipe
 from difffilter.running.batch import run
 from difffilter.running.objectives import Problem, objective
 from difffilter.scoring.losses import LossContext
@@ -40,7 +41,7 @@ def short_log(
     """A system of a scenario and its log."""
     scenario = load_scenario(name, dict(overrides))
     filter = scenario.system(system)
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     log = started(scenario, filter, simulate(scenario, 3, seed=3))
     return filter, irregular(replace(log.rows(0, steps), start=log.start))
 

@@ -38,6 +38,7 @@ from difffilter.core.beliefs import Belief, Measurement, belief
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.filters.prediction import linearise, predict
+from difffilter.filters.recipe import Recipe
 from difffilter.filters.stepping import step
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.running.batch import run
@@ -461,7 +462,7 @@ def test_m_ekf_of_the_airport_with_strong_tracking_is_a_line_of_configuration() 
     for value in ("none", "strong-tracking", "multiple-fading", ["innovation-matching"]):
         scenario = df.load_scenario("airport-mlat", {"world.steps": 25, key: value})
         filter = scenario.system("m-ekf")
-        assert isinstance(filter, Filter)
+        assert isinstance(filter, Recipe)
         assert filter.iterations == 5
         values = {k: v.requires_grad_() for k, v in filter.published().items()}
         track = df.estimate(filter, df.started(scenario, filter, log, values), values)

@@ -20,6 +20,7 @@ from difffilter.engine import build as builder
 from difffilter.engine.build import compiler
 from difffilter.engine.program import Program
 from difffilter.errors import InputError, NonFiniteError
+from difffilter.filters.recipe import Recipe
 from difffilter.motions.blocks import FunctionMotion
 from difffilter.sensors.position import Position
 from difffilter.sensors.sensor import FunctionSensor
@@ -76,7 +77,7 @@ def shortened(name: str, system: str, overrides: dict[str, object]) -> tuple[Fil
     """A system and a log of its first 60 rows with gaps, five trajectories."""
     scenario = load_scenario(name, overrides)
     chosen = scenario.system(system)
-    assert isinstance(chosen, Filter)
+    assert isinstance(chosen, Recipe)
     log = started(scenario, chosen, simulate(scenario, 5, seed=3))
     short = log.rows(0, 60)
     missing = torch.rand(short.z.shape, generator=torch.Generator().manual_seed(1)) < 0.1

@@ -19,6 +19,7 @@ from difffilter import Filter, Log, Start, load_scenario, simulate, started
 from difffilter.engine import choice
 from difffilter.engine.build import compiler
 from difffilter.errors import EngineError, InputError, NonFiniteError
+from difffilter.filters.recipe import Recipe
 from difffilter.motions.blocks import FunctionMotion
 from difffilter.running.batch import prepared, run
 from difffilter.running.objectives import Problem, Sums, objective, sum_losses
@@ -271,7 +272,7 @@ def test_full_optimisation_gives_the_same_sums(monkeypatch: pytest.MonkeyPatch) 
     """As it is compiled for everyone, vector code included; the others here are not."""
     scenario = load_scenario("gate-lockout")
     filter = scenario.system("gated")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     log = started(scenario, filter, simulate(scenario, 9, seed=2))
     log = irregular(replace(log.rows(0, 25), start=log.start))
     monkeypatch.undo()  # quick_compiler

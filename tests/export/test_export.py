@@ -20,7 +20,7 @@ from difffilter.export.c99 import export_c
 from difffilter.export.program import element, identifier, identifiers, literal
 from difffilter.export.words import frozen_values
 from difffilter.files import write_together
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.checkpoint import Checkpoint, load
 from difffilter.scenario.scenario import load_scenario, read_scenario
 
@@ -44,7 +44,7 @@ needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
 def published(scenario: str, system: str) -> Checkpoint:
     loaded = load_scenario(scenario)
     filter = loaded.system(system)
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     return Checkpoint(loaded, system, filter.published())
 
 
@@ -53,7 +53,7 @@ def changed(scenario: str, system: str, **tables: Any) -> Checkpoint:
     document = dict(load_scenario(scenario).document) | tables
     loaded = read_scenario(document, Path("changed.toml"))
     filter = loaded.system(system)
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     return Checkpoint(loaded, system, filter.published())
 
 
@@ -206,7 +206,7 @@ def test_a_platform_is_a_struct_of_known_inputs(world: bool, tmp_path: Path) -> 
         document = {k: v for k, v in document.items() if k not in ("world", "faults", "worlds")}
     loaded = read_scenario(document, Path("platform.toml"))
     filter = loaded.system("robust")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     check(Checkpoint(loaded, "robust", filter.published()), tmp_path)
     header = (tmp_path / "one.h").read_text()
     assert "    one_real platform_x;\n    one_real platform_y;\n} one_inputs;" in header

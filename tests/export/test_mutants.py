@@ -14,7 +14,7 @@ from mutants import mutated
 
 from difffilter.errors import InputError
 from difffilter.export.c99 import export_c
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.scenario import load_scenario, read_scenario
 
@@ -43,7 +43,7 @@ ORIGIN = (500000.0, 5400000.0)
 def published(scenario: str, system: str) -> Checkpoint:
     loaded = load_scenario(scenario)
     filter = loaded.system(system)
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     return Checkpoint(loaded, system, filter.published())
 
 
@@ -132,7 +132,7 @@ def test_no_text_of_a_file_becomes_code(tmp_path: Path) -> None:
             parameter["source"] = hostile
     loaded = read_scenario(document, Path("changed.toml"))
     filter = loaded.system("gated")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     export_c(Checkpoint(loaded, "gated", filter.published()), tmp_path, "one")
     assert compiled(tmp_path, "-Wall", "-Wextra", "-Werror", "-pedantic").returncode == 0
     assert "int x;" in (tmp_path / "one.h").read_text()

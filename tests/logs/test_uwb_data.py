@@ -9,6 +9,7 @@ import torch
 from helpers import assert_close
 
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.running.batch import run, start_belief
 from difffilter.running.tracker import Tracker
@@ -29,7 +30,7 @@ pytestmark = pytest.mark.skipif(
 
 def robust() -> Filter:
     system = SCENARIO.system("robust")
-    assert isinstance(system, Filter)
+    assert isinstance(system, Recipe)
     return system
 
 
@@ -58,7 +59,7 @@ def test_the_published_filters_follow_every_run() -> None:
     errors = {}
     for name in SCENARIO.systems:
         system = SCENARIO.system(name)
-        assert isinstance(system, Filter)
+        assert isinstance(system, Recipe)
         errors[name] = float(rmse(log, run(system, log), "measured"))
     assert max(errors.values()) < 3.0
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from difffilter import Fusion, Mixture
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.motions.blocks import ConstantVelocity, CoordinatedTurn, FunctionMotion, Motion
 from difffilter.parameters.parameters import Parameter, as_number, published_values
 from difffilter.parameters.values import Constants
@@ -335,5 +336,5 @@ def test_a_scenario_names_its_motion_model() -> None:
         assert isinstance(built.motion, CoordinatedTurn)
         assert float(built.published()["motion.turn_rate"]) == 0.05
     plain = load_scenario("manoeuvre-fusion-1").system("srckf")
-    assert isinstance(plain, Filter)
+    assert isinstance(plain, Recipe)
     assert type(plain.motion) is ConstantVelocity

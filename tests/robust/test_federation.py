@@ -19,6 +19,7 @@ from difffilter.core.beliefs import Measurement, belief
 from difffilter.core.conditioning import condition
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.filters.stepping import step
 from difffilter.logs.track import Track
 from difffilter.robust.federation import Federation
@@ -131,7 +132,7 @@ def test_the_theorem_holds_in_the_urban_scenario() -> None:
         uneven = scenario.with_overrides({f"systems.{name}.shares": [0.03, 0.97]})
         same(estimate(uneven.system(name), log), expected)
         filter = scenario.system(name)
-        assert isinstance(filter, Filter)
+        assert isinstance(filter, Recipe)
         same(estimate(filter.centralised, log), expected)
 
 

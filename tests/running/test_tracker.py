@@ -15,7 +15,7 @@ from stream_cases import COVARIANCE, check
 import difffilter
 from difffilter.core.beliefs import Belief
 from difffilter.errors import InputError, NonFiniteError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Start
 from difffilter.running.batch import run
 from difffilter.running.tracker import Tracker
@@ -148,7 +148,7 @@ def test_a_loaded_checkpoint_tracks_like_the_frozen_filter(
 ) -> None:
     scenario = difffilter.load_scenario("airport-mlat-intermittent", {"world.steps": 15})
     system = scenario.system("m-ekf")
-    assert isinstance(system, Filter)
+    assert isinstance(system, Recipe)
     values = system.published() | {"tdoa.sigma": tensor(4.2), "tanh.ab": tensor([1.1, 2.9])}
     checkpoint = difffilter.Checkpoint(scenario, "m-ekf", values, temperature)
     difffilter.save(checkpoint, tmp_path / "x.json")

@@ -13,6 +13,7 @@ from tune_cases import ranges_log, recorded
 from difffilter.core.beliefs import Belief
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start, stack_logs
 from difffilter.running.batch import run
 from difffilter.scenario.estimation import started
@@ -26,7 +27,7 @@ SCENARIO = load_scenario("uwb-ranges", {"systems.ekf.adaptation": "innovation-sc
 
 def system(name: str = "robust") -> Filter:
     made = SCENARIO.system(name)
-    assert isinstance(made, Filter)
+    assert isinstance(made, Recipe)
     return made
 
 

@@ -14,7 +14,7 @@ from helpers import tensor
 import difffilter
 from difffilter.errors import InputError
 from difffilter.files import write_atomically
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.running.batch import run
 from difffilter.scenario.checkpoint import Checkpoint, load, save
 from difffilter.scenario.scenario import Scenario, load_scenario
@@ -36,7 +36,7 @@ def frozen(
     scenario: Scenario, system: str = "m-ekf", temperature: float | None = None
 ) -> Checkpoint:
     filter = scenario.system(system)
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     known = {name: value for name, value in VALUES.items() if name in filter.declarations}
     values = filter.published() | known
     return Checkpoint(scenario, system, values, temperature, {"seed": 3}, {"rows": [1, 2.5, None]})
@@ -89,7 +89,7 @@ def test_matrices_and_vectors_are_frozen_too(tmp_path: Path) -> None:
         parameters__tdoa__bias__value=[0.5 * i for i in range(7)],
     )
     filter = scenario.system("m-ekf")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     values = filter.published() | {"tdoa.sigma": tensor(covariance) * 1.5}  # type: ignore[arg-type]
     save(Checkpoint(scenario, "m-ekf", values), tmp_path / "x.json")
     after = load(tmp_path / "x.json")

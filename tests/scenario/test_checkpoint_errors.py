@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from difffilter.errors import CheckpointError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.checkpoint import Checkpoint, load, save
 from difffilter.scenario.scenario import load_scenario
 
@@ -24,7 +24,7 @@ def text(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A sound file."""
     scenario = load_scenario("airport-mlat")
     filter = scenario.system("m-ekf")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     path = tmp_path_factory.mktemp("sound") / "x.json"
     save(Checkpoint(scenario, "m-ekf", filter.published()), path)
     return path.read_text()

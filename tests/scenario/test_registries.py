@@ -22,7 +22,7 @@ from difffilter import (
 from difffilter.adaptation.passive import Passive
 from difffilter.baselines import ChanLeastSquares
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.options import OPTIONS
 from difffilter.scenario.scenario import load_scenario
 from difffilter.scenario.systems import recipes
@@ -43,7 +43,7 @@ def test_a_weight_of_ones_own_works_like_a_built_in_one(tmp_path) -> None:
     half = weight("half")(lambda s, constants, temperature: 1.0 / (1.0 + s.abs()))
     scenario = load_scenario("airport-mlat", {"systems.mine": {"weight": "half"}})
     system = scenario.system("mine")
-    assert isinstance(system, Filter)
+    assert isinstance(system, Recipe)
     assert system.weight is half
     assert "weight half" in recipes(scenario.document["systems"])["mine"]
     save(Checkpoint(scenario, "mine", system.published()), tmp_path / "mine.json")
@@ -66,7 +66,7 @@ def test_an_adaptation_is_a_class_or_a_function_of_its_filter() -> None:
     keys = {"weight": "huber", "adaptation": ["nothing", "told"]}
     scenario = load_scenario("uwb-simulated", {"systems.mine": keys})
     system = scenario.system("mine")
-    assert isinstance(system, Filter)
+    assert isinstance(system, Recipe)
     nothing, told = system.adaptation.parts  # type: ignore[union-attr]
     assert isinstance(nothing, Nothing)
     members = tuple(tuple(group) for group in system.members)

@@ -14,6 +14,7 @@ import difffilter as df
 from difffilter.baselines import BearingLeastSquares
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.checkpoint import load, save
 from difffilter.scenario.scenario import Scenario, load_scenario
 from difffilter.scoring.metrics import Score, scored_rows
@@ -30,7 +31,7 @@ ALONE: dict[str, Any] = {
 
 def filter_of(scenario: Scenario, name: str) -> Filter:
     system = scenario.system(name)
-    assert isinstance(system, Filter)
+    assert isinstance(system, Recipe)
     return system
 
 

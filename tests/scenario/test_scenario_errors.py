@@ -378,12 +378,12 @@ TOGETHER: list[tuple[str, dict[str, Any], str]] = [
     (
         MANOEUVRE,
         {"systems.fusion.weight": "huber"},
-        "systems.fusion: fusion: expected no weight, scope, gate, recovery or adaptation with it",
+        "systems.fusion: weight: expected no weight, gate or other option with fusion",
     ),
     (
         MANOEUVRE,
         {"systems.fusion.adaptation": ["strong-tracking"]},
-        "systems.fusion: fusion: expected no weight, scope, gate, recovery or adaptation with it",
+        "systems.fusion: adaptation: expected no weight, gate or other option with fusion",
     ),
     (
         MANOEUVRE,

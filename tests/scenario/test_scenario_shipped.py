@@ -11,7 +11,7 @@ from oracles import airport
 
 import difffilter
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.document import apply_overrides, parse_override, read_document
 from difffilter.scenario.recorded import scenario_of_run
 from difffilter.scenario.scenario import load_scenario
@@ -53,7 +53,7 @@ def test_every_shipped_scenario_loads_and_every_system_builds(name: str) -> None
         parts = [scenario.sensors[sensor].model.channels for sensor in spec.sensors]
         assert scenario.system(system).channels == tuple(c for part in parts for c in part)
     tuned = scenario.system()
-    assert isinstance(tuned, Filter)
+    assert isinstance(tuned, Recipe)
     assert any(parameter.tuned for parameter in tuned.declarations.values())
     assert all(p.source for n, p in scenario.declarations().items() if n in scenario.parameters)
 

@@ -11,7 +11,7 @@ from helpers import array, assert_close, random_spd, tensor
 from run_cases import FILTERS, airport_log
 
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, stack_logs
 from difffilter.logs.track import Track
 from difffilter.running.batch import run
@@ -164,7 +164,7 @@ def test_a_filter_that_knows_the_noise_is_consistent() -> None:
         "start.sigma": tensor([3.0, 3.0, 0.01, 0.01]),
     }
     system = scenario.system("ekf")
-    assert isinstance(system, Filter)
+    assert isinstance(system, Recipe)
     track = run(system, log, values)
     assert float(nis_per_channel(track)) == pytest.approx(1.0, abs=0.03)
     assert float(nees(log, track, per_position=True).mean() / 2) == pytest.approx(1.0, abs=0.1)

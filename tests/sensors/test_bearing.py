@@ -15,6 +15,7 @@ import difffilter as df
 from difffilter.baselines import BearingLeastSquares
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import published_values
 from difffilter.robust.gate import Gate
@@ -283,7 +284,7 @@ def test_what_a_bearing_cannot_be_is_refused(options: dict[str, object], message
 def test_a_tracker_takes_the_platforms_position_step_by_step() -> None:
     scenario = df.load_scenario("airborne-bearing-absolute", {"world.steps": 12})
     filter = scenario.system("gated")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     log = df.started(scenario, filter, df.simulate(scenario, 1, seed=2))
     track = df.run(filter, log)
     assert log.start is not None

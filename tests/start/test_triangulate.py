@@ -15,6 +15,7 @@ import difffilter as df
 from difffilter.baselines import BearingLeastSquares
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, stack_logs
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.sensors.builtin import Bearing, Position
@@ -24,7 +25,7 @@ NAN = torch.nan
 PLATFORM = ("platform_x", "platform_y")
 VELOCITY = (-600.0, 0.0)
 FILTER = df.load_scenario("airborne-bearing").system("ekf")
-assert isinstance(FILTER, Filter)
+assert isinstance(FILTER, Recipe)
 
 
 @cache

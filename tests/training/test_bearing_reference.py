@@ -13,7 +13,7 @@ from helpers import Array, array, assert_close, tensor
 from oracles import bearing as oracle
 
 import difffilter as df
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.scenario.scenario import Scenario, load_scenario
 from difffilter.sensors.sensor import wrap
@@ -217,7 +217,7 @@ def test_a_platform_that_manoeuvres_gives_the_same_estimates_in_any_frame(
     scenario = load_scenario("airborne-bearing-absolute", keys)
     log = df.simulate(scenario, 10, seed=4)
     filter = scenario.system(system)
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     log = df.started(scenario, filter, log)
     shift, speed = (3000.0, -7000.0), (120.0, 40.0)
     turned = moved(log, shift, speed, angle)

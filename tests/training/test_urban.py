@@ -14,7 +14,7 @@ from oracles import federated as oracle
 
 from difffilter.comparison.optimality import FSP, fsp
 from difffilter.errors import InputError
-from difffilter.filters.filter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.scenario.estimation import estimate, started
 from difffilter.scenario.scenario import Scenario, load_scenario
@@ -160,7 +160,7 @@ def test_shares_make_no_difference_to_tuning() -> None:
 
 def test_tuning_compares_with_the_published_filter_on_the_same_trajectories() -> None:
     scenario, filter = short(), short().system("credibility")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     settings = TuneSettings(system="credibility", **FEW)
     task = Task(scenario, filter, settings, 3)
     log = simulate(scenario, 5, 3, "validation")

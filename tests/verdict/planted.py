@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from helpers import tensor
 
-from difffilter import Filter
+from difffilter.filters.recipe import Recipe
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.document import apply_overrides
 from difffilter.scenario.scenario import read_scenario
@@ -46,7 +46,7 @@ def planted(
     """A checkpoint: the published values of the world with some of them changed."""
     scenario = read_scenario(apply_overrides(WORLD, changes or {}), Path("two-receivers.toml"))
     filter = scenario.system("ekf")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     tuned = {name: tensor(value) for name, value in values.items()}
     return Checkpoint(scenario, "ekf", filter.published() | tuned, None, training)
 

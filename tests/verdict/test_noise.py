@@ -13,6 +13,7 @@ from helpers import tensor
 import difffilter as df
 from difffilter import ConstantVelocity, Filter, InputError, Log, Position, load_scenario, simulate
 from difffilter.comparison.held_out import HeldOut
+from difffilter.filters.recipe import Recipe
 from difffilter.robust.gate import Gate
 from difffilter.scenario.model import tuning_alone
 from difffilter.scoring import losses
@@ -38,7 +39,7 @@ SMALL = {"trajectories": 6, "validation": 4, "test": 2, "batch": 6, "steps": 2,
 
 def m_ekf() -> Filter:
     system = AIRPORT.system("m-ekf")
-    assert isinstance(system, Filter)
+    assert isinstance(system, Recipe)
     return system
 
 

@@ -12,8 +12,9 @@ import pytest
 import torch
 from helpers import tensor
 
-from difffilter import Filter, load_scenario, run, simulate, started
+from difffilter import load_scenario, run, simulate, started
 from difffilter.comparison.table import Row
+from difffilter.filters.recipe import Recipe
 from difffilter.reports.report import Report
 from difffilter.scenario.checkpoint import Checkpoint, save
 from difffilter.scoring.metrics import position_error, scored_rows
@@ -30,7 +31,7 @@ CLEAN = SCENARIO.with_overrides({"tuning.system": "gated"})
 def tuned(**values: float) -> Checkpoint:
     """A checkpoint of ``gated`` with some values changed."""
     filter = CLEAN.system("gated")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     changed = {name.replace("__", "."): tensor(value) for name, value in values.items()}
     training = {"standard_errors": {"position.sigma": 0.5}}
     return Checkpoint(CLEAN, "gated", filter.published() | changed, None, training)
@@ -41,7 +42,7 @@ LOG = simulate(CLEAN, 12, 4, "test")
 
 def rmse_of(values: dict[str, torch.Tensor]) -> float:
     filter = CLEAN.system("gated")
-    assert isinstance(filter, Filter)
+    assert isinstance(filter, Recipe)
     log = started(CLEAN, filter, LOG, values)
     track = run(filter, log, values)
     rows = scored_rows(LOG, track, CLEAN.score)
