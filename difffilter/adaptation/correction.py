@@ -66,9 +66,7 @@ class PredictionCorrection(Passive):
         """The step linearised at the corrected mean, with the noise that it had."""
         d = excess(linearised, present, constants)
         mean = corrected(linearised, d, present, self.axes, memory.get(BEFORE))
-        moved = linearised.again(mean, linearised.factor)
-        moved = moved._replace(independent=linearised.independent, total=linearised.total)
-        return moved, memory
+        return linearised.at(mean, linearised.factor), memory
 
 
 def excess(linear: Linearised, present: Tensor, constants: Constants) -> Tensor:

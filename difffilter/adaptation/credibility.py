@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from difffilter.adaptation.passive import Memory, Passive
 from difffilter.core.equations import Conditioned
 from difffilter.core.linalg import positive_sqrt, square_norms
 from difffilter.core.linearised import Linearised
@@ -20,13 +20,12 @@ from difffilter.parameters.values import Constants
 __all__ = ["Credibility"]
 
 RATIO, VARIANCE, DRIFT = "credibility.ratio", "credibility.variance", "credibility.drift"
-Memory = Mapping[str, Tensor]
 #: Relative floor of an averaged variance: with errors of exactly 0 the shares stay finite.
 LEAST = 1e-12
 
 
 @dataclass(frozen=True)
-class Credibility:
+class Credibility(Passive):
     """Shares out the measurement information by how well systems agree with the prediction.
 
     Relative errors w' = y - C x(k|k-1) against the global prediction; their variance R' by

@@ -86,7 +86,7 @@ class StrongTracking(Passive):
         above, below = (torch.where(present, x, 0.0) for x in (above, below))
         root = self.factors(linearised, above, below).sqrt()
         deviations = compress(root.unsqueeze(-1) * linearised.moved, linearised.process)
-        faded = linearised.again(linearised.mean, deviations)
+        faded = linearised.at(linearised.mean, deviations)
         measured = present.any(-1)
         new = {AVERAGE: average, STARTED: torch.where(measured, 1.0, memory[STARTED])}
         return faded, {**memory, **new}

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
+from difffilter.adaptation.passive import Memory, Passive, jacobian
 from difffilter.core.equations import Conditioned
 from difffilter.core.linalg import positive_sqrt
 from difffilter.core.linearised import Linearised
@@ -21,11 +20,10 @@ from difffilter.sensors.information import Information
 __all__ = ["InnovationScaling"]
 
 BOUNDS_R, BOUNDS_Q = "adaptive.bounds_r", "adaptive.bounds_q"
-Memory = Mapping[str, Tensor]
 
 
 @dataclass(frozen=True)
-class InnovationScaling:
+class InnovationScaling(Passive):
     """The filter's Q_0 and R_0 times a and b, re-estimated at each step with a measurement.
 
     With innovation nu, residual eps = nu - H K nu, |v|^2 = v^T R_0^-1 v / m and
@@ -50,8 +48,7 @@ class InnovationScaling:
         bounds_r, bounds_q: parameters ``adaptive.bounds_r`` and ``adaptive.bounds_q``.
 
     Memory: ``adaptive.ring`` (..., window, 3), ``adaptive.count``, ``adaptive.a`` and
-    ``adaptive.b`` (...). Noise common to channels
-    together with the filter's ``weigh_prior`` is not supported.
+    ``adaptive.b`` (...).
     """
 
     window: int = 20
@@ -103,20 +100,11 @@ class InnovationScaling:
         inputs: Memory,
         constants: Constants,
     ) -> tuple[Linearised, Memory]:
-        """R times b, in the independent variances and in the common columns.
-
-        With common columns, rows [H X, 0] are stacked below X: their shift and deviations
-        after the update are H K nu and those of H P H^T, which the predicted measurement's
-        own rows, noise included, do not tell.
-        """
+        """R times b, in the independent variances and in the common columns."""
         b = memory["adaptive.b"].unsqueeze(-1)
         own = linearised.own
         state, common = linearised.observed[..., :own], linearised.observed[..., own:]
-        deviations, columns = linearised.deviations, common.shape[-1]
-        if columns:
-            deviations = torch.cat([deviations, pad(state, (0, columns))], dim=-2)
         scaled = linearised._replace(
-            deviations=deviations,
             observed=torch.cat([state, common * b.sqrt().unsqueeze(-1)], dim=-1),
             independent=linearised.independent * b,
             total=linearised.total * b,
@@ -133,15 +121,15 @@ class InnovationScaling:
         constants: Constants,
     ) -> Memory:
         """Ring and scales after the step."""
-        n = linearised.mean.shape[-1]
         a, b = memory["adaptive.a"], memory["adaptive.b"]
         own = linearised.own
         state, common = linearised.observed[..., :own], linearised.observed[..., own:]
+        residual, after = conditioned.residual, conditioned.observed
         if common.shape[-1]:
-            residual = linearised.innovation - conditioned.shift[..., n:]
-            after = conditioned.deviations[..., n:, :]
-        else:
-            residual, after = conditioned.residual, conditioned.observed
+            # The predicted measurement's own rows hold the common noise too: H times the state's.
+            shift = conditioned.shift.unsqueeze(-1)
+            both = jacobian(linearised, torch.cat([shift, conditioned.deviations], dim=-1))
+            residual, after = linearised.innovation - both[..., 0], both[..., 1:]
         # b R_0 stands in the linearised step; R_0^-1 = b (b R_0)^-1.
         scaled = Information(linearised.independent, common, present)
         channels = present.sum(-1)

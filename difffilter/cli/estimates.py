@@ -14,12 +14,9 @@ from difffilter.logs.log import Log
 from difffilter.logs.times import FORMATS, Clock
 from difffilter.logs.track import Track
 from difffilter.logs.writing import Columns, parts_for
-from difffilter.scoring.metrics import Score, position_error, scored_rows
+from difffilter.scoring.metrics import REJECTED, Score, position_error, scored_rows
 
 __all__ = ["Tally", "columns", "write_estimates"]
-
-#: A measurement with a weight below it counts as rejected.
-REJECTED = 0.1
 
 
 class Tally:

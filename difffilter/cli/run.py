@@ -211,5 +211,7 @@ def _text(result: dict[str, Any], truth: bool) -> str:
         parts.append(f"position RMSE {result['rmse']:.4g} m")
     for name, share in result.get("isolated", {}).items():
         parts.append(f"{name} isolated as not finite in {100 * share:.1f} % of rows")
+    from difffilter.scoring.metrics import REJECTED
+
     shares = [f"{name} {100 * share:.1f} %" for name, share in result["rejected"].items()]
-    return f"{', '.join(parts)}\nrejected (weight below 0.1): {', '.join(shares)}"
+    return f"{', '.join(parts)}\nrejected (weight below {REJECTED:g}): {', '.join(shares)}"

@@ -52,7 +52,7 @@ class Row:
         nis_per_channel: mean nominal NIS per present channel; 1 expected; None for baselines.
         estimated: share of rows with an estimate.
         per_scene: RMSE per scene, where the scenario has scenes.
-        rejected: share of each channel's measurements with a weight below 0.1.
+        rejected: share of each channel's rejected measurements, of a weight below ``REJECTED``.
     """
 
     system: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import torch
 from torch import Tensor
 
 from difffilter.core.cubature import square
@@ -26,7 +27,8 @@ class Linearised(NamedTuple):
         moved: (..., n, j) moved deviations F X without process noise; process: (..., n, q).
         transition: columns (..., n, j) -> F times them, F the motion's Jacobian.
         dt: (...), s, of the prediction.
-        again: (mean, deviations (..., n, n)) -> the same measurement linearised there.
+        again: (mean, deviations (..., n, n)) -> the same measurement linearised there, with
+            the declared noise; :meth:`at` keeps the noise of this step.
     """
 
     mean: Tensor
@@ -59,5 +61,13 @@ class Linearised(NamedTuple):
 
     @property
     def size(self) -> int:
-        """n, of the state's deviations; an adaptation may have stacked rows below them."""
-        return self.process.shape[-2]
+        """n, of the state's deviations."""
+        return self.deviations.shape[-2]
+
+    def at(self, mean: Tensor, deviations: Tensor) -> Linearised:
+        """The same measurement linearised elsewhere, with the noise that this step has."""
+        there = self.again(mean, deviations)
+        if self.common:
+            columns = [there.observed[..., : there.own], self.observed[..., self.own :]]
+            there = there._replace(observed=torch.cat(columns, dim=-1))
+        return there._replace(independent=self.independent, total=self.total)

@@ -170,8 +170,6 @@ def read_system(name: str, table: Table, sensors: Mapping[str, SensorSpec]) -> S
 def _check_together(table: Table, spec: SystemSpec) -> None:
     """Options of a filter that exclude each other, named by their keys."""
     adaptations = adaptation_names(spec.options["adaptation"])
-    if adaptations and spec.common_noise and spec.options["weigh_prior"]:
-        table.fail("adaptation", "none together with common_noise and weigh_prior")
     credible = any("credibility" in name for name in adaptations)
     if credible and spec.common_noise:
         table.fail("adaptation", "no credibility together with common_noise")

@@ -15,6 +15,7 @@ from difffilter.motions.blocks import AXES
 from difffilter.seeds import stream
 
 __all__ = [
+    "REJECTED",
     "SCORES",
     "Score",
     "bootstrap_indices",
@@ -37,6 +38,8 @@ __all__ = [
 SCORES = ("all", "measured")
 #: Trajectories below which intervals come from blocks of rows.
 FEW = 20
+#: A measurement with a weight below it counts as rejected.
+REJECTED = 0.1
 
 
 @dataclass(frozen=True)
@@ -170,7 +173,7 @@ def nis_per_channel(track: Track) -> Tensor:
     return track.record.nis.sum() / count.clamp_min(1)
 
 
-def rejected(track: Track, below: float = 0.1) -> dict[str, float]:
+def rejected(track: Track, below: float = REJECTED) -> dict[str, float]:
     """Share, 0 to 1, of each channel's present measurements with a weight below ``below``.
 
     By channel name, over all rows and trajectories.

@@ -13,11 +13,9 @@ from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.simulation import simulate
+from difffilter.scoring.metrics import REJECTED
 
 __all__ = ["Toll", "clean", "nominal_toll", "toll"]
-
-#: A weight below which a measurement counts as rejected.
-REJECTED = 0.1
 
 
 @dataclass(frozen=True)

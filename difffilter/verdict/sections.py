@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from difffilter.comparison.held_out import HeldOut, Outcome
 from difffilter.reports.report import Report
 from difffilter.scenario.checkpoint import Checkpoint
-from difffilter.scoring.metrics import rejected
+from difffilter.scoring.metrics import REJECTED, rejected
 from difffilter.verdict.figures_verdict import autocorrelation, consistency_figure
-from difffilter.verdict.nominal import REJECTED, Toll, clean, nominal_toll, toll
+from difffilter.verdict.nominal import Toll, clean, nominal_toll, toll
 from difffilter.verdict.what_changed import Change
 
 __all__ = ["Case", "write_changes", "write_trust"]

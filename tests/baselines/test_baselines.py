@@ -130,6 +130,28 @@ def test_innovation_scaling_is_the_oracle(rng: np.random.Generator, common: bool
 
 
 @pytest.mark.parametrize("common", [False, True])
+def test_innovation_scaling_goes_with_a_weighed_prior(
+    rng: np.random.Generator, common: bool
+) -> None:
+    data = airport.simulate(rng, 3, 40, 10.0, 100.0, 0.1, common)
+    wild = rng.random(data["measurements"].shape) < 0.05
+    data["measurements"] = data["measurements"] + 60.0 * wild
+    bounds = 12, (0.2, 40.0), (0.5, 5.0)
+    recipe = tdoa_filter(
+        sensor=COMMON if common else DIFFERENCES, adaptation=InnovationScaling(*bounds),
+        weight=huber, iterations=3, weigh_prior=True,
+    )  # fmt: skip
+    track = run(recipe, as_log(data))
+    assert track.record.prior_weight.min() < 0.95
+    clip = float(recipe.published()["huber.k"])
+    expected = adaptive.adaptive_m_ekf(
+        data, lambda s: np.minimum(1.0, clip / np.maximum(np.abs(s), 1e-300)), 3, 1e-4, *bounds,
+        common=common,
+    )  # fmt: skip
+    agree(track, expected, 1e-10)
+
+
+@pytest.mark.parametrize("common", [False, True])
 def test_missing_channels_are_deleted_channels(rng: np.random.Generator, common: bool) -> None:
     data = simulated(rng, common)
     log = as_log(data)

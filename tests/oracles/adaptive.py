@@ -1,5 +1,7 @@
 """Adaptive extended Kalman filter: scales of Q and R from the innovations, plain NumPy."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,3 +72,50 @@ def _square(vector: Array, matrix: Array) -> Array:
 def _trace(matrix: Array) -> Array:
     """Trace of each matrix."""
     return np.trace(matrix, axis1=-2, axis2=-1)
+
+
+def adaptive_m_ekf(
+    data: dict[str, Array],
+    weight: Callable[[Array], Array],
+    iterations: int,
+    floor: float,
+    window: int,
+    bounds_r: tuple[float, float],
+    bounds_q: tuple[float, float],
+    common: bool,
+) -> tuple[Array, Array]:
+    """The same scales, around an update whose channels and prior rows are reweighted."""
+    base = airport.noise_covariance(10.0, common)
+    information = np.linalg.inv(base) / 7
+    transition, process = textbook.motion()
+    means, covs = [], []
+    for run, start in enumerate(data["initial_mean"]):
+        mean, cov = start, np.broadcast_to(data["initial_covariance"], (run + 1, 4, 4))[run]
+        a, b, ring = 1.0, 1.0, np.zeros((0, 3))
+        for z in data["measurements"][run, 1:]:
+            prior, cov = (
+                x[0] for x in textbook.predict(mean[None], cov[None], transition, a * process)
+            )
+            nu, rows = (x[0] for x in textbook.linearise(prior[None], z[None]))
+            noise, root = b * base, np.linalg.cholesky(cov)
+            w, prior_w, spread = np.ones(7), np.ones(4), rows @ cov @ rows.T
+            for left in range(iterations, -1, -1):
+                wide = root @ np.diag(1.0 / prior_w) @ root.T
+                r = noise + np.diag(np.diag(noise) * (1.0 / w - 1.0))
+                gain = wide @ rows.T @ np.linalg.inv(rows @ wide @ rows.T + r)
+                shift, cov = gain @ nu, wide - gain @ rows @ wide
+                residual = nu - rows @ shift
+                if left:
+                    w = weight(residual / np.sqrt(np.diag(noise)))
+                    prior_w = floor + (1.0 - floor) * weight(np.linalg.solve(root, shift))
+            mean, traced = prior + shift, np.trace(information @ rows @ cov @ rows.T)
+            entry = residual @ information @ residual + traced, nu @ information @ nu
+            ring = np.vstack([ring, [*entry, np.trace(information @ spread)]])[-window:]
+            if len(ring) == window:
+                rho, iota, pi = ring.mean(0)
+                b = np.clip(rho, *bounds_r)
+                a = np.clip(a * np.sqrt(max(iota - rho, 0.0) / pi), *bounds_q)
+            means.append(mean)
+            covs.append(cov)
+    shape = len(data["initial_mean"]), -1
+    return np.stack(means).reshape(*shape, 4), np.stack(covs).reshape(*shape, 4, 4)
