@@ -72,6 +72,7 @@ def write_estimates(
     clock: Clock,
     tally: Tally,
     covariance: bool = False,
+    smoothed: Track | None = None,
 ) -> None:
     """Write the columns, times as the log has them; empty where there is no number.
 
@@ -80,13 +81,17 @@ def write_estimates(
         windows: parts of a log and their estimates, in order: never all of them in memory.
         tally: counts them.
         covariance: whether to write covariances as well.
+        smoothed: of the only window, in columns of its own.
     """
 
     def content(file: BinaryIO) -> None:
         writer = parts_for(path, file)
         for log, track in windows:
             tally.add(track)
-            writer.write(_dated(columns(log, track, covariance), clock))
+            table = columns(log, track, covariance)
+            if smoothed is not None:
+                table |= _later(smoothed, covariance)
+            writer.write(_dated(table, clock))
         writer.close()
 
     write_atomically(path, content)
@@ -118,12 +123,23 @@ def columns(log: Log, track: Track, covariance: bool = False) -> dict[str, Tenso
         found[f"{channel}_weight"] = weight[:, 0, i]
     none = torch.full_like(time, math.nan)
     found["nis"] = none if track.record is None else track.record.nis[:, 0]
-    if covariance:
-        full = track.covariance
-        for i, a in enumerate(track.states):
-            for j, b in enumerate(track.states[:i]):
-                found[f"cov_{b}_{a}"] = full[:, 0, i, j]
-    return found
+    return found | (_covariances(track) if covariance else {})
+
+
+def _covariances(track: Track, suffix: str = "") -> dict[str, Tensor]:
+    full = track.covariance
+    return {
+        f"cov_{b}_{a}{suffix}": full[:, 0, i, j]
+        for i, a in enumerate(track.states)
+        for j, b in enumerate(track.states[:i])
+    }
+
+
+def _later(track: Track, covariance: bool) -> dict[str, Tensor]:
+    """Columns of smoothed estimates."""
+    found = {f"{name}_smoothed": track.mean[:, 0, i] for i, name in enumerate(track.states)}
+    std = {f"{name}_smoothed_std": track.std[:, 0, i] for i, name in enumerate(track.states)}
+    return found | std | (_covariances(track, "_smoothed") if covariance else {})
 
 
 def _weights(log: Log, track: Track) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,9 +36,11 @@ examples:
   difffilter run mine.json log.csv --out estimates.csv --plot track.png
   difffilter run mine.json log.csv --values published --out estimates.csv
   difffilter run uwb-ranges my.csv --run los_A1 --out estimates.csv --json
+  difffilter run mine.json log.csv --smooth --out estimates.csv --plot track.png
 
 The filter starts from the log's first measurements. Columns written: time, the states,
-<state>_std, <channel>_weight (0 where missing), nis.
+<state>_std, <channel>_weight (0 where missing), nis; with --smooth also <state>_smoothed and
+<state>_smoothed_std.
 """
 
 
@@ -69,6 +72,14 @@ def add(commands: Commands) -> None:
         help="write covariances too: cov_A_B of every two states",
     )
     parser.add_argument("--plot", metavar="FILE", help="figure to write, PNG and SVG")
+    parser.add_argument(
+        "--smooth",
+        action="store_true",
+        help="smoothed estimates too, from the whole log (held in memory)",
+    )
+    parser.add_argument(
+        "--lag", type=float, metavar="S", help="--smooth from rows until so many seconds later only"
+    )
     parser.add_set()
     parser.add_models()
     parser.add_engine()
@@ -91,6 +102,8 @@ def command(args: Namespace) -> int:
     """Run, write the estimates and the figure, print a summary."""
     check_place(args.out)
     check_place(args.plot)
+    if args.lag is not None and not args.smooth:
+        raise InputError("--lag: found without --smooth, expected both")
     if Path(args.out).resolve() == Path(args.log).resolve():
         raise InputError(f"--out {args.out}: is the log itself, expected another file")
     chosen = _job(args)
@@ -100,6 +113,7 @@ def command(args: Namespace) -> int:
     from difffilter.filters.recipe import Recipe
     from difffilter.logs.log import stack_logs
     from difffilter.logs.times import Clock
+    from difffilter.running.smoothing import check_smoothable
     from difffilter.running.windows import run_windows
     from difffilter.scenario.estimation import estimate, started
     from difffilter.scenario.recorded import read_run
@@ -116,22 +130,32 @@ def command(args: Namespace) -> int:
     system = job.scenario.system(job.system)
     frozen = job.values.values if job.values else None
     temperature = job.values.temperature if job.values else None
+    if args.smooth:
+        check_smoothable(system)
     ready = started(job.scenario, system, log, frozen)
     progress = shows_progress(args)
     settings = {"temperature": temperature, "progress": progress, "engine": args.engine}
     windows: Iterable[tuple[Log, Track]]
-    if isinstance(system, Recipe) and not args.plot:
+    later = None
+    if isinstance(system, Recipe) and not args.plot and not args.smooth:
         windows = run_windows(system, ready, frozen, **settings)
     else:
         track = estimate(system, ready, frozen, **settings)
         windows = [(ready, track)]
+        if args.smooth:
+            later = _smoothed(job, ready, track, args.lag)
     if isinstance(chosen.scenario, Scenario):
         note_missing_run(chosen.scenario, _run_name(args))
     tally = Tally(log, job.scenario.score)
-    write_estimates(args.out, windows, clock, tally, args.covariance)
+    write_estimates(args.out, windows, clock, tally, args.covariance, later)
     result = tally.summary()
+    if later is not None:
+        again = Tally(log, job.scenario.score)
+        again.add(later)
+        result |= {"smoothed_rmse": again.summary()["rmse"], "lag": args.lag}
     if args.plot:
-        _plot(args.plot, log, track, f"{job.scenario.name}, {job.system}, values {job.label}")
+        title = f"{job.scenario.name}, {job.system}, values {job.label}"
+        _plot(args.plot, log, track, title, later)
     about = {"scenario": job.scenario.name, "system": job.system, "values": job.label}
     if args.json:
         print_json({**result, **about, "out": args.out})
@@ -195,11 +219,26 @@ def _run_name(args: Namespace) -> str:
     return str(args.run or Path(args.log).stem)
 
 
-def _plot(path: str, log: Log, track: Track, title: str) -> None:
+def _smoothed(job: Job, log: Log, track: Track, lag: float | None) -> Track:
+    """The track smoothed, with the values that it was made with."""
+    from difffilter.running.smoothing import check_smoothable, smoothed
+
+    system = check_smoothable(job.scenario.system(job.system))
+    return smoothed(
+        system,
+        log.only(system.channels),
+        track,
+        job.values.values if job.values else None,
+        lag=math.inf if lag is None else lag,
+        temperature=job.values.temperature if job.values else None,
+    )
+
+
+def _plot(path: str, log: Log, track: Track, title: str, later: Track | None) -> None:
     from difffilter.reports.figures.style import save_figure
     from difffilter.reports.figures.tracks import track_figure
 
-    save_figure(track_figure(log, track, title=title), path)
+    save_figure(track_figure(log, track, title=title, smoothed=later), path)
 
 
 def _text(result: dict[str, Any], truth: bool) -> str:
@@ -209,6 +248,8 @@ def _text(result: dict[str, Any], truth: bool) -> str:
         parts.append(f"{missing}, so no RMSE")
     else:
         parts.append(f"position RMSE {result['rmse']:.4g} m")
+        if result.get("smoothed_rmse") is not None:
+            parts.append(f"smoothed {result['smoothed_rmse']:.4g} m")
     for name, share in result.get("isolated", {}).items():
         parts.append(f"{name} isolated as not finite in {100 * share:.1f} % of rows")
     from difffilter.scoring.metrics import REJECTED

@@ -148,6 +148,34 @@ def test_recorded_runs_bring_their_positions(tmp_path: Path, capsys: Any) -> Non
     assert error("los_A2.csv", "--set", f"sensors.range.stations={given}")[0] == wrong
 
 
+def test_smoothed_beside_filtered(place: Path, capsys: Any) -> None:
+    """Columns, RMSE and figure beside the filter's, which stay; a lag of 0 changes nothing."""
+    system = ("tiny.toml", "log.csv", "--system", "ekf")
+    plain = run(capsys, *system, "--covariance")
+    kept = read_columns(Path("out.csv"))
+    both = run(capsys, *system, "--covariance", "--smooth", "--plot", "both.png")
+    table = read_columns(Path("out.csv"))
+    assert both["rmse"] == plain["rmse"]
+    assert both["smoothed_rmse"] < both["rmse"]
+    assert {name: table[name] for name in kept} == kept
+    assert table["x_smoothed"][-1] == table["x"][-1]
+    assert table["cov_x_y_smoothed"][-1] == table["cov_x_y"][-1]
+    later, first = table["x_smoothed_std"][0], table["x_std"][0]
+    assert later is not None
+    assert first is not None
+    assert later < first
+    assert Path("both.svg").is_file()
+    none = run(capsys, *system, "--smooth", "--lag", "0")
+    assert none["smoothed_rmse"] == pytest.approx(none["rmse"], rel=1e-12)
+    assert main(["run", *system, "--smooth", "--out", "out.csv"]) == 0
+    assert "m, smoothed " in capsys.readouterr().out
+    alone = fails(capsys, "run", *system, "--lag", "1", "--out", "o.csv")
+    assert "--lag: found without --smooth" in alone
+    below = fails(capsys, "run", *system, "--smooth", "--lag=-1", "--out", "o.csv")
+    assert "lag: found -1" in below
+    assert not Path("o.csv").exists()
+
+
 def test_compare_with_smoothed_rows(place: Path, capsys: Any) -> None:
     capsys.readouterr()
     command = ("compare", "tiny.toml", "--values", "published", "--trajectories", "3", "--smooth")
