@@ -106,7 +106,7 @@ def _dated(table: dict[str, Tensor], clock: Clock) -> Columns:
 
 
 def columns(log: Log, track: Track, covariance: bool = False) -> dict[str, Tensor]:
-    """Time, mean, standard deviations, weight per channel (0 where missing), nominal NIS.
+    """Time, mean, deviations, weight per channel (0 where missing), NIS, mode probabilities.
 
     Args:
         log: one trajectory, in a batch of its own; track: of that log.
@@ -123,6 +123,9 @@ def columns(log: Log, track: Track, covariance: bool = False) -> dict[str, Tenso
         found[f"{channel}_weight"] = weight[:, 0, i]
     none = torch.full_like(time, math.nan)
     found["nis"] = none if track.record is None else track.record.nis[:, 0]
+    if track.record is not None:
+        for k, mode in enumerate(track.modes):
+            found[f"{mode}_probability"] = track.record.modes[:, 0, k]
     return found | (_covariances(track) if covariance else {})
 
 

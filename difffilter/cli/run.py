@@ -39,8 +39,8 @@ examples:
   difffilter run mine.json log.csv --smooth --out estimates.csv --plot track.png
 
 The filter starts from the log's first measurements. Columns written: time, the states,
-<state>_std, <channel>_weight (0 where missing), nis; with --smooth also <state>_smoothed and
-<state>_smoothed_std.
+<state>_std, <channel>_weight (0 where missing), nis; of a mixture <mode>_probability; with
+--smooth also <state>_smoothed and <state>_smoothed_std.
 """
 
 

@@ -59,6 +59,7 @@ class Record(NamedTuple):
         weight: (..., m), final weight; 0 where missing.
         prior_weight: (..., n), weight of the prediction's own residuals.
         gate: (..., m), 1 passed, 0 failed (between, when soft).
+        modes: (..., K), probability of each mode of a mixture; K = 0 for all else.
         present: (..., m), whether the channel was measured (and its sensor not isolated).
         isolated: (..., m), whether a federated filter left the channel's sensor out because
             something of it was not finite.
@@ -71,6 +72,7 @@ class Record(NamedTuple):
     weight: Tensor
     prior_weight: Tensor
     gate: Tensor
+    modes: Tensor
     present: Tensor
     isolated: Tensor
 

@@ -136,6 +136,7 @@ def record_of(row: Row, output: Linearised) -> Record:
         weight=weight,
         prior_weight=torch.ones_like(output.mean),
         gate=row.clear.unsqueeze(-1).expand_as(weight),
+        modes=weight[..., :0],
         present=here,
         isolated=torch.zeros_like(here),
     )

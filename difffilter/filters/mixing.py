@@ -68,7 +68,7 @@ def own_belief(mode: str, memory: Mapping[str, Tensor]) -> Belief:
 def joint_record(predicted: Tensor, probability: Tensor, records: Sequence[Record]) -> Record:
     """Of the mixture: nominal moments by the predicted probabilities, weights by the final ones."""
     if len(records) == 1:
-        return records[0]
+        return records[0]._replace(modes=probability)
 
     def mean(weights: Tensor, parts: Sequence[Tensor]) -> Tensor:
         return (torch.stack([*parts], dim=-1) * weights.unsqueeze(-2)).sum(-1)
@@ -88,6 +88,7 @@ def joint_record(predicted: Tensor, probability: Tensor, records: Sequence[Recor
         weight=mean(probability, [record.weight for record in records]),
         prior_weight=mean(probability, [record.prior_weight for record in records]),
         gate=mean(probability, [record.gate for record in records]),
+        modes=probability,
         present=first.present,
         isolated=first.isolated,
     )

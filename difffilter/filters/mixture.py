@@ -136,6 +136,11 @@ class Mixture(Recipe):
         return self.first.channels
 
     @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Of the K modes, in order."""
+        return tuple(self.modes)
+
+    @property
     def iterations(self) -> int:
         """How often a step conditions beyond once, over all modes."""
         return sum(1 + mode.iterations for mode in self.modes.values()) - 1

@@ -87,6 +87,11 @@ class Recipe(Declared):
         return ()
 
     @property
+    def mode_names(self) -> tuple[str, ...]:
+        """Of a mixture; none for all else."""
+        return ()
+
+    @property
     def centralised(self) -> Recipe:
         """The same without local filters: the same estimates while nothing is isolated."""
         return self

@@ -22,6 +22,7 @@ class Track:
         time: (T,) or (T, ...).
         mean: (T, ..., n); deviations: (T, ..., n, k), P = X X^T.
         record: the steps' records stacked along time; None for estimators without one.
+        modes: names of a mixture's modes, see ``record.modes``; none for all else.
         final: belief after the last row; None for estimators without one.
     """
 
@@ -32,6 +33,7 @@ class Track:
     deviations: Tensor
     record: Record | None = None
     final: Belief | None = None
+    modes: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Tensor:

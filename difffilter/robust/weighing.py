@@ -314,6 +314,7 @@ def _record(
         weight=weight,
         prior_weight=prior,
         gate=gate,
+        modes=s[..., :0],
         present=present,
         isolated=torch.zeros_like(present),
     )

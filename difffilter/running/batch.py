@@ -75,7 +75,9 @@ def run(
         from difffilter.engine.fused import Job, forward
 
         job = Job(filter, constants, log, current, intervals)
-        return Track(filter.states, filter.channels, log.time, *forward(job))
+        return Track(
+            filter.states, filter.channels, log.time, *forward(job), modes=filter.mode_names
+        )
 
     def plain() -> Track:
         return eager(filter, constants, log, current, intervals, progress)
@@ -154,6 +156,7 @@ def eager(
         deviations=torch.stack(deviations),
         record=Record(*(torch.stack(field) for field in zip(*records, strict=True))),
         final=current,
+        modes=filter.mode_names,
     )
 
 

@@ -57,7 +57,9 @@ def run_windows(
 
                 try:
                     found = forward(Job(filter, constants, part, current, dt))
-                    track = Track(filter.states, filter.channels, part.time, *found)
+                    track = Track(
+                        filter.states, filter.channels, part.time, *found, modes=filter.mode_names
+                    )
                 except EngineError as error:
                     if chosen == "fused":
                         raise

@@ -192,7 +192,7 @@ def _check_parameters(scenario: Scenario) -> None:
     """Every system builds, and every parameter belongs to a system."""
     known = scenario.declarations()
     for name, spec in scenario.parameters.items():
-        if name not in known:
+        if name not in known and not any(other.endswith(f".{name}") for other in known):
             raise InputError(
                 f"{spec.where}: no system has such a parameter, "
                 f"expected one of {', '.join(sorted(known))}"

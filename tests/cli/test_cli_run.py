@@ -186,3 +186,19 @@ def test_compare_with_smoothed_rows(place: Path, capsys: Any) -> None:
     assert {"ekf", "ekf smoothed"} <= set(rows)
     for name in set(rows) - {n.removesuffix(" smoothed") for n in rows if " smoothed" in n}:
         assert name.endswith(" smoothed") or f"{name}: no smoothed row" in told.err
+
+
+def test_a_mixtures_probabilities_are_columns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    scene = "manoeuvre-fusion-1"
+    small = ["--set", "world.steps=12"]
+    made = ["simulate", scene, *small, "--trajectories", "1", "--out", "log.csv"]
+    assert main(made) == 0
+    run(capsys, scene, "log.csv", "--system", "imm-turns", "--plot", "track.png", *small)
+    got = read_columns(Path("out.csv"))
+    shares = [got[f"{mode}_probability"] for mode in ("calm", "left", "right", "wide")]
+    assert all(0.0 <= p <= 1.0 for share in shares for p in share)
+    assert [sum(row) for row in zip(*shares, strict=True)] == pytest.approx([1.0] * 12)
+    assert Path("track.svg").is_file()

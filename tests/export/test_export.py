@@ -37,6 +37,8 @@ OTHERS = [
     ("gate-lockout", "gated-widen"),
     ("gate-lockout", "gated-inflate"),
     ("airport-mlat", "m-ekf-mad"),
+    ("manoeuvre-fusion-1", "imm"),
+    ("manoeuvre-fusion-1", "imm-turns-gated"),
 ]
 needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
 

@@ -22,9 +22,11 @@ from difffilter import (
     igg3,
     run,
 )
+from difffilter.engine.build import compiler
 from difffilter.filters.mixture import PROBABILITY, Mixture
 from difffilter.robust.gate import Gate
 
+ENGINES = ["torch", pytest.param("fused", marks=pytest.mark.skipif(not compiler(), reason="cc"))]
 P0 = np.diag([25.0, 25.0, 4.0, 4.0])
 
 
@@ -192,3 +194,26 @@ def test_modes_that_do_not_fit_are_input_errors() -> None:
         Mixture({"calm": calm}, share=(0.2, 0.3, 0.5))
     with pytest.raises(InputError, match="modes: found name"):
         Mixture({"../x": calm})
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_record_holds_the_probabilities_of_every_row(engine: str) -> None:
+    mixture, given = three(igg3), log(20)
+    track = run(mixture, given, start=start(), engine=engine)
+    assert track.modes == ("calm", "left", "noisy")
+    assert track.record is not None
+    assert track.final is not None
+    assert track.record.modes.shape == (20, 3)
+    assert_close(track.record.modes.sum(-1), np.ones(20), 1e-12)
+    assert_close(track.record.modes[-1], array(track.final.memory[PROBABILITY].exp()), 1e-12)
+    before = run(mixture, given.rows(0, 12), start=start(), engine="torch")
+    assert before.final is not None
+    assert_close(track.record.modes[11], array(before.final.memory[PROBABILITY].exp()), 1e-9)
+
+
+def test_a_filter_has_no_modes() -> None:
+    filter = Filter(ConstantVelocity(2), radar())
+    track = run(filter, log(3), start=start(), engine="torch")
+    assert track.modes == ()
+    assert track.record is not None
+    assert track.record.modes.shape == (3, 0)

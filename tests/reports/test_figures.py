@@ -13,10 +13,13 @@ from helpers import array
 from matplotlib.figure import Figure
 from run_cases import FILTERS, airport_log
 
+from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
+from difffilter.filters.mixture import Mixture
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.motions.blocks import ConstantVelocity
+from difffilter.reports.figures.modes import modes_figure
 from difffilter.reports.figures.style import axes_grid, save_figure
 from difffilter.reports.figures.tracks import track_figure
 from difffilter.running.batch import run
@@ -125,3 +128,18 @@ def test_a_grid_has_its_axes_row_by_row() -> None:
     assert len(axes) == len(figure.axes) == 6
     assert axes[1].get_subplotspec().colspan.start == 1  # type: ignore[union-attr]
     assert axes[3].get_subplotspec().rowspan.start == 1  # type: ignore[union-attr]
+
+
+def test_a_mixtures_probabilities_are_stacked_over_time() -> None:
+    filter = FILTERS["m-ekf"]
+    track = run(Mixture({"one": filter, "other": filter}, share=(0.7, 0.3)), LOG)
+    figure = modes_figure(track, 2, "modes")
+    one, other = figure.axes[0].collections
+    assert [one.get_label(), other.get_label()] == ["one", "other"]
+    found = one.get_paths()[0].vertices
+    assert track.record is not None
+    assert found[:, 1].max() == pytest.approx(float(track.record.modes[:, 2, 0].max()))
+    assert other.get_paths()[0].vertices[:, 1].max() == pytest.approx(1.0)
+    assert len(track_figure(LOG, track, 0).axes) == len(track_figure(LOG, TRACK, 0).axes) + 1
+    with pytest.raises(InputError, match="a track of no mixture"):
+        modes_figure(TRACK)

@@ -57,7 +57,7 @@ class Smoother(Recipe):
         memory = {"seen": belief.memory["seen"] + ones}
         record = Record(
             innovation, belief.deviations, ones, innovation, ones, torch.ones_like(belief.mean),
-            ones, present, ~present & False,
+            ones, ones[..., :0], present, ~present & False,
         )  # fmt: skip
         return Belief(belief.mean + share * innovation, belief.deviations, memory), record
 

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
+from difffilter.reports.figures.modes import draw_modes
 from difffilter.reports.figures.style import COLOURS, axes_grid
 
 __all__ = ["track_figure"]
@@ -21,7 +22,7 @@ def track_figure(
     *,
     smoothed: Track | None = None,
 ) -> Figure:
-    """Track, position errors with 3-sigma bands, and weights over time.
+    """Track, position errors with 3-sigma bands, weights, a mixture's modes over time.
 
     Args:
         log: (T, B, m) or (T, m), with truth or not (errors need it).
@@ -30,7 +31,8 @@ def track_figure(
         smoothed: of the same log, drawn beside the filtered track, with bands of its own.
     """
     time, mean, std, weights, truth = _pick(log, track, trajectory)
-    figure, axes = axes_grid(2, 2)
+    several = track.record is not None and bool(track.modes)
+    figure, axes = axes_grid(3 if several else 2, 2)
     if title:
         figure.suptitle(title)
     later = None if smoothed is None else _pick(log, smoothed, trajectory)
@@ -45,6 +47,9 @@ def track_figure(
         if later is not None:
             _draw_later_error(axes[1 + i], time, later[1][:, i], later[2][:, i], true)
     _draw_weights(axes[3], track, time, weights)
+    if several:
+        draw_modes(axes[4], track, trajectory)
+        axes[5].remove()
     return figure
 
 
