@@ -57,16 +57,7 @@ class ChannelSweep(torch.autograd.Function):
         m, k = len(weight), table.shape[0] - 1
         n = table.shape[1] - m
         table = table.clone()
-
-        table_bar = torch.zeros_like(table)
-        if shift_bar is not None:
-            table_bar[k, :n] = -shift_bar.movedim(-1, 0)
-        if deviations_bar is not None:
-            table_bar[:k, :n] = deviations_bar.movedim((-1, -2), (0, 1))
-        if residual_bar is not None:
-            table_bar[k, n:] = residual_bar.movedim(-1, 0)
-        if observed_bar is not None:
-            table_bar[:k, n:] = observed_bar.movedim((-1, -2), (0, 1))
+        table_bar = _final(table, n, (shift_bar, deviations_bar, residual_bar, observed_bar))
 
         # All channels at once, (m, k + 1, 1, ...)
         gains = weight[:, None, None] / denominators
@@ -107,3 +98,18 @@ class ChannelSweep(torch.autograd.Function):
             noise_bar.movedim(0, -1),
             None,
         )
+
+
+def _final(table: Tensor, n: int, bars: tuple[Tensor | None, ...]) -> Tensor:
+    """The gradient towards the final table, from those towards what is read from it."""
+    k, bar = len(table) - 1, torch.zeros_like(table)
+    shift, deviations, residual, observed = bars
+    if shift is not None:
+        bar[k, :n] = -shift.movedim(-1, 0)
+    if deviations is not None:
+        bar[:k, :n] = deviations.movedim((-1, -2), (0, 1))
+    if residual is not None:
+        bar[k, n:] = residual.movedim(-1, 0)
+    if observed is not None:
+        bar[:k, n:] = observed.movedim((-1, -2), (0, 1))
+    return bar

@@ -132,64 +132,67 @@ def trace(
             f"engine: found {iterations} iterations, expected {MOST_ITERATIONS} or fewer "
             "(each is written out)"
         )
-    names = list(constants)
-    known, memory = list(inputs), list(belief.memory)
-    m = len(filter.channels)
-
-    def flat(cs: list[Tensor], state: list[Tensor], row: list[Tensor]) -> list[Tensor]:
-        before = Belief(state[0], state[1], dict(zip(memory, state[2:], strict=True)))
-        measurement = Measurement(row[0], row[1], dict(zip(known, row[2:], strict=True)))
-        named = Constants(dict(zip(names, cs, strict=True)))
-        after, record = filter.step(named, before, measurement)
-        sums, residuals = _objective(filter, objective, measurement, after, record)
-        return [
-            after.mean,
-            after.deviations,
-            *(after.memory[name] for name in memory),
-            *record,
-            *sums,
-            *residuals,
-        ]
-
-    dtype = torch.float64
-    cs = [constants[name].detach().to(dtype) for name in names]
-    state = [belief.mean, belief.deviations, *(belief.memory[name] for name in memory)]
-    row = [torch.zeros(m, dtype=dtype), torch.ones((), dtype=dtype), *inputs.values()]
+    dtype, memory = torch.float64, tuple(belief.memory)
+    cs = [c.detach().to(dtype) for c in constants.values()]
+    state = [belief.mean, belief.deviations, *belief.memory.values()]
+    z, dt = torch.zeros(len(filter.channels), dtype=dtype), torch.ones((), dtype=dtype)
+    row = [z, dt, *inputs.values()]
     program = Program()
     layouts = (
-        Layout({name: tuple(c.shape) for name, c in zip(names, cs, strict=True)}),
+        Layout(_shapes(tuple(constants), cs)),
         Layout(_shapes(("mean", "deviations", *memory), state)),
-        Layout(_shapes(("z", "dt", *known), row)),
+        Layout(_shapes(("z", "dt", *inputs), row)),
     )
     arrays = [
         array
         for group, layout in zip(("c", "s", "r"), layouts, strict=True)
         for array in layout.inputs(program, group)
     ]
-    tensors = [*cs, *state, *row]
-
-    def once(*given: Tensor) -> list[Tensor]:
-        parts = list(given)
-        first, second = len(cs), len(cs) + len(state)
-        return flat(parts[:first], parts[first:second], parts[second:])
-
-    found = Lowering(program).run(once, list(zip(tensors, arrays, strict=True)))
+    step = _FlatStep(filter, objective, tuple(constants), memory, tuple(inputs))
+    found = Lowering(program).run(step, list(zip([*cs, *state, *row], arrays, strict=True)))
     new_state, found = found[: len(state)], found[len(state) :]
     record, found = found[: len(Record._fields)], found[len(Record._fields) :]
-    output = Layout({name: np.shape(x) for name, x in zip(Record._fields, record, strict=True)})
     count = len(objective.losses) if objective else 0
-    constant, before, given = layouts
     return Traced(
         program=program,
-        constants=constant,
-        state=before,
-        row=given,
-        output=output,
+        constants=layouts[0],
+        state=layouts[1],
+        row=layouts[2],
+        output=Layout({n: np.shape(x) for n, x in zip(Record._fields, record, strict=True)}),
         next_state=_nodes(new_state),
         results=_nodes(record),
         sums=[_nodes([part]) for part in found[:count]],
         residuals=_nodes(found[count:]),
     )
+
+
+@dataclass(frozen=True)
+class _FlatStep:
+    """One step from a flat list of tensors to another: what is traced.
+
+    Attributes:
+        filter, objective: as for :func:`trace`.
+        constants, memory, inputs: names, in the order of the tensors.
+    """
+
+    filter: Recipe
+    objective: Objective | None
+    constants: tuple[str, ...]
+    memory: tuple[str, ...]
+    inputs: tuple[str, ...]
+
+    def __call__(self, *given: Tensor) -> list[Tensor]:
+        """Constants, then the state, then the row, to the new state, the record and the sums."""
+        parts = iter(given)
+        constants = Constants({name: next(parts) for name in self.constants})
+        mean, deviations = next(parts), next(parts)
+        before = Belief(mean, deviations, {name: next(parts) for name in self.memory})
+        z, dt = next(parts), next(parts)
+        measurement = Measurement(z, dt, {name: next(parts) for name in self.inputs})
+        after, record = self.filter.step(constants, before, measurement)
+        sums, residuals = _objective(self.filter, self.objective, measurement, after, record)
+        memory = (after.memory[name] for name in self.memory)
+        return [after.mean, after.deviations, *memory, *record, *sums, *residuals]
 
 
 def _objective(

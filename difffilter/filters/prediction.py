@@ -140,11 +140,7 @@ def _linearise(
         deviations = doubled(deviations)
     innovation, r, r_total = (_join(parts, -1, 1) for parts in (innovations, independent, total))
     if foretold:
-        variance = inputs["fault.variance"]
-        known = torch.isfinite(variance)
-        present = present & known
-        extra = torch.where(known, variance, 0.0)
-        innovation = torch.where(present, innovation - inputs["fault.mean"], 0.0)
+        innovation, extra = _without_faults(innovation, present, inputs)
         r, r_total = r + extra, r_total + extra
     z_deviations = _join(observed, -2, 2)
     shared = block_diagonal(common)
@@ -167,6 +163,16 @@ def _linearise(
         dt=measurement.dt,
         again=again,
     )
+
+
+def _without_faults(
+    innovation: Tensor, present: Tensor, inputs: Mapping[str, Tensor]
+) -> tuple[Tensor, Tensor]:
+    """Innovation less the faults' means, and what their variances add to R, each (..., m)."""
+    variance = inputs["fault.variance"]
+    known = torch.isfinite(variance)
+    left = torch.where(present & known, innovation - inputs["fault.mean"], 0.0)
+    return left, torch.where(known, variance, 0.0)
 
 
 def _at_points(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -12,7 +12,6 @@ from difffilter.core.beliefs import Record
 from difffilter.core.conditioning import condition
 from difffilter.core.cubature import doubled
 from difffilter.core.equations import Conditioned
-from difffilter.core.linalg import positive_sqrt
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Interval
@@ -20,14 +19,12 @@ from difffilter.parameters.parameters import Parameter, Values
 from difffilter.parameters.values import Constants
 from difffilter.robust.federation import Federation
 from difffilter.robust.gate import Gate
-from difffilter.robust.groups import DISTANCES, group_rms, normalised_square, spread
 from difffilter.robust.mad import mad_scale
+from difffilter.robust.residuals import STANDARDISATIONS, GateTest, Residuals, Scales
 from difffilter.weights.registry import plain
 from difffilter.weights.weight import Weight
 
 __all__ = ["STANDARDISATIONS", "Weighing"]
-
-STANDARDISATIONS = ("innovation", "noise")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,18 +53,18 @@ class Weighing:
     federation: Federation | None = None
 
     def __post_init__(self) -> None:
-        if self.standardise not in STANDARDISATIONS:
-            expected = " or ".join(STANDARDISATIONS)
-            raise InputError(f"standardise: found {self.standardise!r}, expected {expected}")
+        _ = self.residuals  # checked when it is made
         if self.iterations < 0:
             raise InputError(f"iterations: found {self.iterations}, expected 0 or more")
         if (self.weigh_prior or self.mad) and not self.iterations:
             raise InputError("weigh_prior and mad: expected iterations of 1 or more with them")
-        if self.distance not in DISTANCES:
-            expected = " or ".join(DISTANCES)
-            raise InputError(f"distance: found {self.distance!r}, expected {expected}")
         if self.mad and self.groups is not None:
             raise InputError("mad: expected scope channel with it")
+
+    @cached_property
+    def residuals(self) -> Residuals:
+        """What weights and gates see of a step."""
+        return Residuals(self.standardise, self.distance, self.groups)
 
     @property
     def floor(self) -> tuple[Parameter, ...]:
@@ -125,8 +122,8 @@ class Weighing:
         self, constants: Constants, linear: Linearised, present: Tensor, widening: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Residuals in sigmas, weights and gates from the nominal innovation, each (..., m)."""
-        scales = self._scales(linear, widening)
-        s = self._distance(linear, linear.innovation, present, scales)
+        scales = self.residuals.scales(linear, widening)
+        s = self.residuals.distances(linear, linear.innovation, present, scales)
         weight = self.weight(s, constants, constants.get("temperature"))
         test = self._test(linear, present, scales)
         weight, gate = self._gated(constants, weight, test)
@@ -151,7 +148,7 @@ class Weighing:
         prior_weight = torch.ones_like(linear.deviations[..., : linear.size, 0])
         s = linear.innovation
         temperature = constants.get("temperature")
-        scales = self._scales(linear, widening)
+        scales = self.residuals.scales(linear, widening)
         test = self._test(linear, present, scales)  # of the innovation: the same throughout
         # Until the weights are final only residuals count: rows that carry them stand for X.
         rows, split = self._residual_rows(linear)
@@ -160,7 +157,7 @@ class Weighing:
             residual = conditioned.residual
             if linear.common:
                 residual = linear.innovation - conditioned.shift[..., split:]
-            s = self._distance(linear, residual, present, scales)
+            s = self.residuals.distances(linear, residual, present, scales)
             prior_s = -conditioned.shift[..., :split]
             if self.mad:
                 scale = mad_scale(torch.cat([torch.where(present, s, torch.nan), prior_s], dim=-1))
@@ -219,88 +216,17 @@ class Weighing:
             )
         return condition(deviations, observed, linear.innovation, weight, noise)
 
-    def _scales(self, linear: Linearised, widening: Tensor | None) -> _Scales:
-        nominal = linear.innovation_variance
-        variance = nominal if self.standardise == "innovation" else linear.total
-        if widening is not None:
-            variance = variance * widening
-        return _Scales(nominal, variance.rsqrt(), widening)
-
-    def _distance(
-        self, linear: Linearised, residual: Tensor, present: Tensor, scales: _Scales
-    ) -> Tensor:
-        """(..., m), residuals in sigmas as the weight function sees them: one per group."""
-        s = residual * scales.per_sigma
-        if self.groups is None:
-            return s
-        if self.distance == "rms":
-            return spread(self.groups, [group_rms(s, present, g) for g in self.groups])
-        observed = linear.observed
-        if self.standardise == "noise":
-            observed = observed[..., linear.own :]
-        return positive_sqrt(self._squares(linear, residual, observed, present, scales.widening))
-
-    def _squares(
-        self,
-        linear: Linearised,
-        residual: Tensor,
-        observed: Tensor,
-        present: Tensor,
-        widening: Tensor | None,
-    ) -> Tensor:
-        """(..., m), e^T (Z Z^T + diag r)^-1 e of each channel's group."""
-        groups = self.groups or ()
-        squares = spread(
-            groups,
-            [
-                normalised_square(residual, observed, linear.independent, present, group)
-                for group in groups
-            ],
-        )
-        return squares if widening is None else squares / widening
-
-    def _test(self, linear: Linearised, present: Tensor, scales: _Scales) -> _Test | None:
-        """From the nominal innovation; None without a gate."""
-        if self.gate is None:
-            return None
-        share = linear.total / scales.nominal
-        if self.groups is None:
-            nis = linear.innovation.square() / scales.nominal
-            if scales.widening is not None:
-                nis = nis / scales.widening
-            return _Test(nis, None, share)
-        nis = self._squares(linear, linear.innovation, linear.observed, present, scales.widening)
-        counts = [present[..., [*group]].sum(-1) for group in self.groups]
-        return _Test(nis, spread(self.groups, counts), share)
+    def _test(self, linear: Linearised, present: Tensor, scales: Scales) -> GateTest | None:
+        return None if self.gate is None else self.residuals.test(linear, present, scales)
 
     def _gated(
-        self, constants: Constants, weight: Tensor, test: _Test | None
+        self, constants: Constants, weight: Tensor, test: GateTest | None
     ) -> tuple[Tensor, Tensor]:
         """Weight and gate of each channel."""
         if self.gate is None or test is None:
             return weight, torch.ones_like(weight)
         temperature = constants.get("temperature")
         return self.gate.weigh(weight, test.nis, test.degrees, constants, temperature, test.share)
-
-
-class _Scales(NamedTuple):
-    """What residuals are measured with.
-
-    nominal: (..., m), innovation variance S_ii; per_sigma: (..., m), divides residuals;
-    widening: (..., m) or None.
-    """
-
-    nominal: Tensor
-    per_sigma: Tensor
-    widening: Tensor | None
-
-
-class _Test(NamedTuple):
-    """What the gate asks of each channel: NIS of its group, its degrees, R_ii / S_ii (..., m)."""
-
-    nis: Tensor
-    degrees: Tensor | None
-    share: Tensor
 
 
 def _record(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,13 +13,13 @@ from torch import Tensor
 from difffilter.errors import CheckpointError, InputError, shown
 from difffilter.files import json_text, write_atomically
 from difffilter.filters.recipe import Recipe
-from difffilter.parameters.parameters import Number
 from difffilter.provenance import git_commit, library_versions
 from difffilter.running.tracker import Tracker
 from difffilter.scenario.case import Case
 from difffilter.scenario.model import Model
 from difffilter.scenario.own import model_of
 from difffilter.scenario.scenario import read_scenario
+from difffilter.scenario.strict_json import numbers, read_json, same_keys
 
 __all__ = ["FORMAT", "VERSION", "Checkpoint", "load", "save"]
 
@@ -142,7 +140,7 @@ def save(checkpoint: Checkpoint, path: str | Path) -> None:
         InputError: a value outside its constraint, or a place that cannot be written.
     """
     declarations = checkpoint.published_filter.declarations
-    _same_keys(Path(path), "values", checkpoint.values, set(declarations))
+    same_keys(Path(path), "values", checkpoint.values, set(declarations))
     for name, parameter in declarations.items():
         parameter.check(checkpoint.values[name])
     write_atomically(path, json_text(checkpoint.as_dict()) + "\n")
@@ -166,13 +164,13 @@ def load(path: str | Path, recipe: Recipe | Model | None = None) -> Checkpoint:
     def fail(key: str, found: object, expected: str) -> NoReturn:
         raise CheckpointError(f"{path}: {key}: found {shown(found)}, expected {expected}")
 
-    data = _read_json(path)
+    data = read_json(path)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         found = data.get("format") if isinstance(data, dict) else type(data).__name__
         fail("format", found, repr(FORMAT))
     if data.get("version") != VERSION:
         fail("version", data.get("version"), f"{VERSION}")
-    _same_keys(path, "", data, set(_KEYS))
+    same_keys(path, "", data, set(_KEYS))
     for key, kind in _KEYS.items():
         if not isinstance(data[key], kind) or isinstance(data[key], bool):
             fail(key, data[key], "another kind of value")
@@ -199,7 +197,7 @@ def load(path: str | Path, recipe: Recipe | Model | None = None) -> Checkpoint:
     )
     expected = checkpoint.as_dict()["recipe"]
     # A file of an older version may not name what was added since; the document decides.
-    _same_keys(path, "recipe", expected | data["recipe"], set(expected))
+    same_keys(path, "recipe", expected | data["recipe"], set(expected))
     for key in data["recipe"]:
         if data["recipe"][key] != expected[key]:
             fail(f"recipe.{key}", data["recipe"][key], repr(expected[key]))
@@ -224,13 +222,13 @@ def _case(path: Path, data: dict[str, Any], recipe: Recipe | Model | None) -> Ca
 
 def _read_values(path: Path, entries: dict[str, Any], system: Recipe) -> dict[str, Tensor]:
     declarations = system.declarations
-    _same_keys(path, "parameters", entries, set(declarations))
+    same_keys(path, "parameters", entries, set(declarations))
     values = {}
     for name, parameter in declarations.items():
         where, entry = f"{path}: parameters.{name}", entries[name]
         if not isinstance(entry, dict):
             raise CheckpointError(f"{where}: found {shown(entry)}, expected a table")
-        _same_keys(path, f"parameters.{name}", entry, _PARAMETER_KEYS)
+        same_keys(path, f"parameters.{name}", entry, _PARAMETER_KEYS)
         expected = {
             "published": _listed(parameter.value),
             "unit": parameter.unit,
@@ -244,69 +242,11 @@ def _read_values(path: Path, entries: dict[str, Any], system: Recipe) -> dict[st
                     "as in the stored document"
                 )
         try:
-            values[name] = torch.tensor(_numbers(entry["value"]), dtype=torch.float64)
+            values[name] = torch.tensor(numbers(entry["value"]), dtype=torch.float64)
             parameter.check(values[name])
         except (InputError, TypeError, ValueError) as error:
             raise CheckpointError(f"{where}.value: {error}") from None
     return values
-
-
-def _read_json(path: Path) -> Any:
-    def no_constant(text: str) -> NoReturn:
-        raise ValueError(f"found {text}, expected finite numbers")
-
-    def finite(text: str) -> float:
-        value = float(text)
-        if not math.isfinite(value):
-            no_constant(text)
-        return value
-
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for key in keys if keys.count(key) > 1)
-            raise ValueError(f"found the key {shown(twice)} twice, expected it once")
-        return found
-
-    def whole(text: str) -> int:
-        finite(text)
-        return int(text)
-
-    try:
-        return json.loads(
-            path.read_text(encoding="utf-8"),
-            parse_constant=no_constant,
-            parse_float=finite,
-            parse_int=whole,
-            object_pairs_hook=once,
-        )
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from None
-    except json.JSONDecodeError as error:
-        raise CheckpointError(
-            f"{path}, line {error.lineno}: damaged or truncated JSON: {error.msg}"
-        ) from None
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise CheckpointError(f"{path}: {error}") from None
-
-
-def _same_keys(path: Path, where: str, table: Mapping[str, Any], expected: set[str]) -> set[str]:
-    prefix = f"{where}." if where else ""
-    for key in sorted(expected - set(table)):
-        raise CheckpointError(f"{path}: {prefix}{key}: found nothing, expected this key")
-    for key in sorted(set(table) - expected):
-        raise CheckpointError(f"{path}: {prefix}{key}: unknown key, expected no such key")
-    return expected
-
-
-def _numbers(value: Any) -> Number:
-    """Nested lists of true numbers (no text, no booleans)."""
-    if isinstance(value, list):
-        return tuple(_numbers(item) for item in value)  # type: ignore[return-value]
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"found {shown(value)}, expected a finite number")
-    return float(value)
 
 
 def _plain(value: Tensor) -> Any:

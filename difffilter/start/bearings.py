@@ -129,24 +129,10 @@ def from_bearings(
     chosen = torch.where(wanted.unsqueeze(-1), flat.z, torch.nan)
     first = Log(flat.channels, flat.time, chosen, inputs=flat.inputs, names=flat.names)
     found = lines(sensor, first, constants, moving, since)
-    outer = found.normal.unsqueeze(-1) * found.normal.unsqueeze(-2)
-    right = found.normal * (found.normal * found.origin).sum(-1, keepdim=True)
-    position = crossing(outer.sum((0, 2)), right.sum((0, 2)))
-    ahead = found.bearing.cos() * (position[:, None] - found.origin)[..., 0]
-    ahead = ahead + found.bearing.sin() * (position[:, None] - found.origin)[..., 1]
-    behind = torch.where(found.present, ahead, 0.0).sum((0, 2)) <= 0.0
+    position = _crossing_of(found)
     mean = torch.cat([position, moving.expand_as(position)], dim=-1)
     mean = mean[:, : len(recipe.states)]
-    noise = sensor.noise(mean, flat.inputs, constants).total
-    for bad, what in (
-        (torch.isnan(position).any(-1), "do not cross"),
-        (behind, "cross behind the observer"),
-        (_open(found, position, noise), "leave its distance open, expected more rows"),
-    ):
-        if bool(bad.any()):
-            at = int(bad.nonzero()[0])
-            name = flat.names[at] if flat.names and flat.names[at] else at
-            raise InputError(f"start: trajectory {name}: its first {rows} bearings {what}")
+    _check(found, position, sensor.noise(mean, flat.inputs, constants).total, flat.names, rows)
     mean = mean.reshape(*log.z.shape[1:-1], -1)
     if not lead:
         return Start(mean)
@@ -154,6 +140,35 @@ def from_bearings(
     if time.dim() and bool((time != time[:1]).any()):
         raise InputError("start: found logs that begin at different times, expected one time")
     return Start(mean, None, float(time.reshape(-1)[0]) - lead)
+
+
+def _crossing_of(found: Lines) -> Tensor:
+    """(B, 2), where all lines cross best; NaN where they do not."""
+    outer = found.normal.unsqueeze(-1) * found.normal.unsqueeze(-2)
+    right = found.normal * (found.normal * found.origin).sum(-1, keepdim=True)
+    return crossing(outer.sum((0, 2)), right.sum((0, 2)))
+
+
+def _check(
+    found: Lines, position: Tensor, noise: Tensor, names: Sequence[str | None], rows: int
+) -> None:
+    """InputError that names the first trajectory whose bearings do not determine a position."""
+    for bad, what in (
+        (torch.isnan(position).any(-1), "do not cross"),
+        (_behind(found, position), "cross behind the observer"),
+        (_open(found, position, noise), "leave its distance open, expected more rows"),
+    ):
+        if bool(bad.any()):
+            at = int(bad.nonzero()[0])
+            name = names[at] if names and names[at] else at
+            raise InputError(f"start: trajectory {name}: its first {rows} bearings {what}")
+
+
+def _behind(found: Lines, position: Tensor) -> Tensor:
+    """(B,), whether most of the bearings point away from the position."""
+    ahead = found.bearing.cos() * (position[:, None] - found.origin)[..., 0]
+    ahead = ahead + found.bearing.sin() * (position[:, None] - found.origin)[..., 1]
+    return torch.where(found.present, ahead, 0.0).sum((0, 2)) <= 0.0
 
 
 def _open(found: Lines, position: Tensor, noise: Tensor) -> Tensor:

@@ -91,55 +91,83 @@ def gauss_newton(
     """
     if not epochs:
         z, inputs = z.unsqueeze(0), {name: value.unsqueeze(0) for name, value in inputs.items()}
-    axes = start.shape[-1]
     lead = torch.broadcast_shapes(start.shape[:-1], z.shape[1:-1])  # type: ignore[no-untyped-call]
-    position = start.expand(*lead, axes)
-    present = ~torch.isnan(z)
+    position = start.expand(*lead, start.shape[-1])
     frame = frame or identity(position)
     noise = stacked_noise(sensors, frame.state(position), inputs, constants)
-    inverse = Information(noise.independent, noise.common, present)
-    sigma = noise.total.sqrt()
-
-    def root_weights(error: Tensor) -> Tensor:
-        return torch.ones_like(error) if weigh is None else positive_sqrt(weigh(error / sigma))
-
-    def cost(root: Tensor, error: Tensor, unknown: Tensor) -> Tensor:
-        prior = (frame.information * unknown.square()).sum(-1)
-        return inverse.square(root * error).sum(0) + prior
-
-    def normal(root: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
-        """H^T M H, and M H for the right-hand side."""
-        scaled = root.unsqueeze(-1)
-        weighted = scaled * inverse.times(scaled * gradient)
-        matrix = (gradient.unsqueeze(-1) * weighted.unsqueeze(-2)).sum((0, -3))
-        return matrix + torch.diag(frame.information), weighted
-
-    damping = position.new_full(lead, FIRST_DAMPING)
-    unit = torch.eye(axes, dtype=position.dtype, device=position.device)
-    error, gradient = linearised(sensors, constants, z, inputs, position, frame)
-    # Near the minimum the costs differ by the rounding of z - h alone, and steps still improve.
-    slack = 1.0 + 1e4 * torch.finfo(position.dtype).eps
-    for _ in range(iterations):
-        root = root_weights(error)
-        matrix, weighted = normal(root, gradient)
-        downhill = (weighted * error.unsqueeze(-1)).sum((0, -2)) - frame.information * position
-        scale = matrix.diagonal(dim1=-2, dim2=-1).mean(-1)
-        factor, regular = covariance_factor(matrix + (damping * scale)[..., None, None] * unit)
-        shift = (factor @ (factor.mT @ downhill.unsqueeze(-1))).squeeze(-1)
-        trial = position + torch.where(regular.unsqueeze(-1), shift, 0.0)
-        new_error, new_gradient = linearised(sensors, constants, z, inputs, trial, frame)
-        better = cost(root, new_error, trial) <= slack * cost(root, error, position)
-        damping = torch.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
-        accept = better.unsqueeze(-1)
-        position = torch.where(accept, trial, position)
-        error = torch.where(accept, new_error, error)
-        gradient = torch.where(accept.unsqueeze(-1), new_gradient, gradient)
-    factor, regular = covariance_factor(normal(root_weights(error), gradient)[0])
+    present = ~torch.isnan(z)
+    squares = _Squares(
+        at=lambda unknown: linearised(sensors, constants, z, inputs, unknown, frame),
+        inverse=Information(noise.independent, noise.common, present),
+        sigma=noise.total.sqrt(),
+        weigh=weigh,
+        information=frame.information,
+    )
+    position, error, gradient = squares.descend(position, iterations)
+    factor, regular = covariance_factor(squares.normal(squares.root(error), gradient)[0])
     known = regular & (present.sum((0, -1)) >= (frame.information == 0).sum())
     return Fix(
         torch.where(known.unsqueeze(-1), position, torch.nan),
         torch.where(known[..., None, None], factor, torch.nan),
     )
+
+
+class _Squares(NamedTuple):
+    """Weighted squares of the residuals, and how they are lowered.
+
+    Attributes:
+        at: unknowns (..., a) -> residuals (E, ..., m) and gradient of h (E, ..., m, a).
+        inverse: R^-1; sigma: (E, ..., m), of the residuals.
+        weigh: as for :func:`gauss_newton`; information: (a,), prior, of a :class:`Frame`.
+    """
+
+    at: Callable[[Tensor], tuple[Tensor, Tensor]]
+    inverse: Information
+    sigma: Tensor
+    weigh: Weigh | None
+    information: Tensor
+
+    def root(self, error: Tensor) -> Tensor:
+        """sqrt w (E, ..., m) of each residual."""
+        if self.weigh is None:
+            return torch.ones_like(error)
+        return positive_sqrt(self.weigh(error / self.sigma))
+
+    def cost(self, root: Tensor, error: Tensor, unknown: Tensor) -> Tensor:
+        """(...), e^T M e and the prior's part."""
+        prior = (self.information * unknown.square()).sum(-1)
+        return self.inverse.square(root * error).sum(0) + prior
+
+    def normal(self, root: Tensor, gradient: Tensor) -> tuple[Tensor, Tensor]:
+        """H^T M H (..., a, a), and M H (E, ..., m, a) for the right-hand side."""
+        scaled = root.unsqueeze(-1)
+        weighted = scaled * self.inverse.times(scaled * gradient)
+        matrix = (gradient.unsqueeze(-1) * weighted.unsqueeze(-2)).sum((0, -3))
+        return matrix + torch.diag(self.information), weighted
+
+    def descend(self, position: Tensor, iterations: int) -> tuple[Tensor, Tensor, Tensor]:
+        """The position after so many steps, and residuals and gradient there."""
+        damping = position.new_full(position.shape[:-1], FIRST_DAMPING)
+        unit = torch.eye(position.shape[-1], dtype=position.dtype, device=position.device)
+        error, gradient = self.at(position)
+        # Near the minimum the costs differ by the rounding of z - h alone, and steps still improve.
+        slack = 1.0 + 1e4 * torch.finfo(position.dtype).eps
+        for _ in range(iterations):
+            root = self.root(error)
+            matrix, weighted = self.normal(root, gradient)
+            downhill = (weighted * error.unsqueeze(-1)).sum((0, -2)) - self.information * position
+            scale = matrix.diagonal(dim1=-2, dim2=-1).mean(-1)
+            factor, regular = covariance_factor(matrix + (damping * scale)[..., None, None] * unit)
+            shift = (factor @ (factor.mT @ downhill.unsqueeze(-1))).squeeze(-1)
+            trial = position + torch.where(regular.unsqueeze(-1), shift, 0.0)
+            new_error, new_gradient = self.at(trial)
+            better = self.cost(root, new_error, trial) <= slack * self.cost(root, error, position)
+            damping = torch.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
+            accept = better.unsqueeze(-1)
+            position = torch.where(accept, trial, position)
+            error = torch.where(accept, new_error, error)
+            gradient = torch.where(accept.unsqueeze(-1), new_gradient, gradient)
+        return position, error, gradient
 
 
 def residual(sensors: Sequence[Sensor], z: Tensor, predicted: Sequence[Tensor]) -> Tensor:

@@ -1,4 +1,24 @@
-"""A robust start of a filter from the first measurements, never from the truth."""
+"""A robust start of a filter from the first measurements, never from the truth.
+
+Cost: the sum of log(1 + |e / (scale sigma)|^2) over rows and channels, those of a position fix
+together (Cauchy), so that wild values do no harm. A coarse grid per sensor type (see
+:mod:`difffilter.start.grid`), the best candidates refined by
+:func:`difffilter.start.fit.gauss_newton`, the lowest cost kept: deterministic, not
+differentiable.
+
+A fit is ambiguous where another position has nearly the same cost (e^3 = 20 to 1), or the cost
+does not rise as its curvature says; where its weights take away nine tenths of the information
+on some direction; or where five rows or more were read and one of them alone carries nine
+tenths of it. Then rows and span are doubled, up to 32 times as many, and position and velocity
+are fitted together, until it is not. What rests on one row to the end, uncontradicted, is taken
+as it is.
+
+With ``velocity_sigma`` every start has a covariance: that of the fit (grown by its residuals),
+plus the motion from the log's first row to the mean of the rows used, and that sigma for the
+velocities. Without it the covariance is None, the filter's ``start.sigma``, unless the filter
+has one and a fit waited for more rows or is less certain than that says: then it is NaN for the
+other trajectories.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +35,6 @@ from difffilter.start.rows import flatten
 from difffilter.start.waiting import Fitted, Fitter
 
 __all__ = ["from_measurements"]
-
-CHUNK = 128
 
 
 @torch.no_grad()
@@ -37,18 +55,8 @@ def from_measurements(
 
     The position is taken as constant (or as moving with ``velocity``) over the first ``rows``
     rows with a measurement within ``span`` seconds of the first such row (further rows until
-    enough channels were seen to determine it). Cost: the sum of log(1 + |e / (scale sigma)|^2)
-    over rows and channels, those of a position fix together (Cauchy), so that wild values do
-    no harm. A coarse grid per sensor type (see :mod:`difffilter.start.grid`), the best
-    candidates refined by :func:`difffilter.start.fit.gauss_newton`, the lowest cost kept:
-    deterministic, not differentiable.
-
-    A fit is ambiguous where another position has nearly the same cost (e^3 = 20 to 1), or the
-    cost does not rise as its curvature says; where its weights take away nine tenths of the
-    information on some direction; or where five rows or more were read and one of them alone
-    carries nine tenths of it. Then rows and span are doubled, up to 32 times as many, and
-    position and velocity are fitted together, until it is not. What rests on one row to the
-    end, uncontradicted, is taken as it is.
+    enough channels were seen to determine it). While a fit is ambiguous, rows and span are
+    doubled (see :mod:`difffilter.start.measurements`).
 
     Args:
         recipe: the filter or estimator; its position is the first states.
@@ -58,11 +66,7 @@ def from_measurements(
         span: seconds.
         scale: of the Cauchy cost, in the sensors' sigmas.
         velocity_sigma: m/s, how unknown the velocity is; if given, every start has a
-            covariance: that of the fit (grown by its residuals), plus the motion from the
-            log's first row to the mean of the rows used, and this for the velocities. Without
-            it, the covariance is None, the filter's ``start.sigma``, unless the filter has one
-            and a fit waited for more rows or is less certain than that says: then it is NaN
-            for the other trajectories.
+            covariance (see :mod:`difffilter.start.measurements`).
         iterations: of the first refinement; the best are refined twice as long.
         velocity: m/s, known or expected; 0 if missing.
         sensors: names of the sensors that make the start; all if missing.
@@ -72,34 +76,15 @@ def from_measurements(
 
     Raises:
         InputError: a trajectory, named, whose log does not determine a position, and what it
-            fits alike; channels or sensors that do not fit; a covariance for states other
-            than position and velocity without ``start.sigma``.
+            fits alike; channels, sensors or states that do not fit.
     """
-    if log.channels != recipe.channels:
-        raise InputError(
-            f"log: found channels {', '.join(log.channels)}, expected {', '.join(recipe.channels)}"
-        )
-    if rows < 1:
-        raise InputError(f"rows: found {rows}, expected 1 or more")
-    if not span >= 0.0:
-        raise InputError(f"span: found {span}, expected 0 or more seconds")
+    _check(recipe, log, rows, span)
     constants = recipe.prepare(recipe.published(log.z.dtype) | dict(values or {}))
     part = part_of(recipe, sensors)
-    n = len(recipe.states)
     declared = constants.get("start.sigma")
-    if velocity_sigma is not None and declared is None and n > part.axes + len(part.velocities):
-        raise InputError(
-            f"velocity_sigma: found states {', '.join(recipe.states)}, expected positions and "
-            "their velocities, or start.sigma for the others"
-        )
-    moving = log.z.new_zeros(part.axes)
-    if velocity is not None:
-        if len(velocity) != part.axes:
-            raise InputError(f"velocity: found {len(velocity)} numbers, expected {part.axes}")
-        moving = log.z.new_tensor(list(velocity))
+    moving = log.z.new_tensor(_vector(velocity, part.axes))
     unknown = _velocity_sigma(part, declared, velocity_sigma, moving)
-    flat = flatten(log.only(part.channels))
-    problem = Fitter(
+    fitter = Fitter(
         part=part,
         constants=constants,
         velocity=moving,
@@ -109,16 +94,30 @@ def from_measurements(
         scale=scale,
         iterations=iterations,
     )
-    fits = [
-        problem.fit(flat.select(range(first, min(first + CHUNK, flat.trajectories))), first)
-        for first in range(0, flat.trajectories, CHUNK)
-    ]
-    fit = Fitted(*(torch.cat(each) for each in zip(*fits, strict=True)))
+    fit = fitter.all(flatten(log.only(part.channels)))
     covariance = _covariance(fit, part, declared, unknown, velocity_sigma is not None)
-    lead = log.z.shape[1:-1]
-    if covariance is not None:
-        covariance = covariance.reshape(*lead, n, n)
-    return Start(fit.mean.reshape(*lead, n), covariance)
+    mean = fit.mean.reshape(*log.z.shape[1:-1], -1)
+    return Start(mean, None if covariance is None else covariance.reshape(*mean.shape, -1))
+
+
+def _check(recipe: Recipe, log: Log, rows: int, span: float) -> None:
+    """InputError if the log is of other channels, or rows and span are none."""
+    if log.channels != recipe.channels:
+        raise InputError(
+            f"log: found channels {', '.join(log.channels)}, expected {', '.join(recipe.channels)}"
+        )
+    if rows < 1:
+        raise InputError(f"rows: found {rows}, expected 1 or more")
+    if not span >= 0.0:
+        raise InputError(f"span: found {span}, expected 0 or more seconds")
+
+
+def _vector(velocity: Sequence[float] | None, axes: int) -> list[float]:
+    """The velocity's components, 0 if missing; InputError if they are not ``axes``."""
+    found = [0.0] * axes if velocity is None else list(velocity)
+    if len(found) != axes:
+        raise InputError(f"velocity: found {len(found)} numbers, expected {axes}")
+    return found
 
 
 def _velocity_sigma(
@@ -126,6 +125,11 @@ def _velocity_sigma(
 ) -> Tensor:
     """(axes,), m/s, how unknown each velocity is; infinite where nobody says."""
     if given is not None:
+        if declared is None and len(part.states) > part.axes + len(part.velocities):
+            raise InputError(
+                f"velocity_sigma: found states {', '.join(part.states)}, expected positions and "
+                "their velocities, or start.sigma for the others"
+            )
         return torch.full_like(like, given)
     if declared is None or not part.velocities:
         return torch.full_like(like, torch.inf)

@@ -19,6 +19,8 @@ __all__ = ["Fitted", "Fitter"]
 
 #: An ambiguous start waits: rows and span are doubled this often.
 DOUBLINGS = 5
+#: Trajectories fitted at once.
+CHUNK = 128
 
 
 class Fitted(NamedTuple):
@@ -47,6 +49,14 @@ class Fitter(NamedTuple):
     span: float
     scale: float
     iterations: int
+
+    def all(self, log: Log) -> Fitted:
+        """Every trajectory of a flat log, some at a time: memory does not grow with them."""
+        fits = [
+            self.fit(log.select(range(first, min(first + CHUNK, log.trajectories))), first)
+            for first in range(0, log.trajectories, CHUNK)
+        ]
+        return Fitted(*(torch.cat(each) for each in zip(*fits, strict=True)))
 
     def fit(self, log: Log, first: int) -> Fitted:
         """Trajectories of a flat log; ``first``: the number of the first of them."""

@@ -1,4 +1,10 @@
-"""Tune the recipe of a scenario or a model, freeze it, and compare it on held-out data."""
+"""Tune the recipe of a scenario or a model, freeze it, and compare it on held-out data.
+
+The gradient sees the soft weights at a falling temperature; the values that are kept are those
+whose frozen, hard form is best on the validation data (the published ones, if nothing beats
+them there). Started by ``torchrun``, each process runs its share of the trajectories; the first
+one alone writes files and compares.
+"""
 
 from __future__ import annotations
 
@@ -65,35 +71,26 @@ def tune(
 ) -> TuneResult:
     """Tune a filter's parameters by gradient, freeze them and compare on held-out data.
 
-    Started by ``torchrun``, each process runs its share of the trajectories; the first one
-    alone writes files and compares.
-
-    The gradient sees the soft weights at a falling temperature; the values that are kept
-    are those whose frozen, hard form is best on the validation data (the published ones, if
-    nothing beats them there).
+    How values are chosen: see :mod:`difffilter.tuning.loop`.
 
     Args:
         case: a scenario, a model, or a filter by itself.
-        train: recorded logs to train on, in windows with warm starts: a :class:`Log`, a file, or
-            a list of either; or a function ``simulate(seed, count)`` that draws logs. Without:
-            trajectories that the scenario or the model simulates.
-        validation: logs that choose among the steps; of recorded ones to train on a part is held
-            back where there are none (the checkpoint says which).
+        train: logs to train on: a :class:`Log`, a file, a list of either, or a function
+            ``simulate(seed, count)``; without, trajectories that the case simulates.
+        validation: logs that choose among the steps; without, a part of ``train`` is held back.
         test: logs to compare on; simulated trajectories where they can be drawn.
         tuned: names or patterns of the parameters to tune, in place of those declared so.
-        loss: weight of each loss by name, in place of that of the settings.
-        settings: a whole TuneSettings, or some of its fields, over the case's own.
+        loss: weight of each loss; settings: a whole TuneSettings or some fields; both over
+            the case's own.
         seed: of everything random; same seed, same machine, same result.
         out: where to write the checkpoint; its resumable state stands beside it.
-        tensorboard: folder for TensorBoard's files.
+        tensorboard: folder for TensorBoard's files; progress: show a bar after two seconds.
         resume: go on from the state beside ``out``; the result is as if uninterrupted.
-        progress: show a bar if it takes over two seconds.
         engine: ``torch``, ``fused`` or ``auto``, as for :func:`difffilter.run`.
 
     Raises:
-        InputError: nothing to tune, a loss that needs truth without truth, resume without
-            ``out``, another run that writes ``out``; CheckpointError: a state that is damaged or
-            of another run.
+        InputError: nothing to tune, a loss without its truth, resume without ``out``, another
+            run that writes ``out``; CheckpointError: a state that is damaged or of another run.
         NonFiniteError: a belief or a gradient turned non-finite; names where.
     """
     case, logs = _sources(as_case(case), train)
@@ -103,31 +100,36 @@ def tune(
     given = {"train": logs, "validation": validation, "test": test}
     read = {name: None if x is None else as_log(case, x) for name, x in given.items()}
     among = ranks()
-    alone = only_run(state_path(out)) if out is not None and among.first else nullcontext()
-    with alone:
+    with only_run(state_path(out)) if out is not None and among.first else nullcontext():
         task = Task(
-            case,
-            recipe,
-            case.tuning,
-            seed=seed,
-            train=read["train"],
-            validation=read["validation"],
-            asked=engine,
-            ranks=among,
-        )
+            case, recipe, case.tuning, seed=seed, train=read["train"],
+            validation=read["validation"], asked=engine, ranks=among,
+        )  # fmt: skip
         course, training = _search(task, out, tensorboard, resume, progress)
         among.meet()
         checkpoint = Checkpoint(case, case.tuning.system, course.best.values, None, training)
         if not among.first:
             return TuneResult(checkpoint, course.entries, None, first=False)
-        if out is not None:  # before the comparison: what was tuned is not lost if that fails
-            save(checkpoint, out)
-        held_out = _held_out(checkpoint, seed, read["test"], progress, engine)
-        if held_out is not None:
-            checkpoint = replace(checkpoint, result=held_out.as_dict())
-        if out is not None:
-            save(checkpoint, out)
-            state_path(out).unlink(missing_ok=True)
+        return _compared(checkpoint, course, read["test"], task, out, progress)
+
+
+def _compared(
+    checkpoint: Checkpoint,
+    course: Course,
+    test: Log | None,
+    task: Task,
+    out: str | Path | None,
+    progress: bool,
+) -> TuneResult:
+    """The result with its held-out comparison, written to ``out``."""
+    if out is not None:  # before the comparison: what was tuned is not lost if that fails
+        save(checkpoint, out)
+    held_out = _held_out(checkpoint, task.seed, test, progress, task.asked)
+    if held_out is not None:
+        checkpoint = replace(checkpoint, result=held_out.as_dict())
+    if out is not None:
+        save(checkpoint, out)
+        state_path(out).unlink(missing_ok=True)
     return TuneResult(checkpoint, course.entries, held_out)
 
 
