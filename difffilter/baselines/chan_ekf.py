@@ -97,7 +97,7 @@ class ChanEKF(Snapshot):
         return self.motion.states
 
     @property
-    def own(self) -> tuple[Parameter, ...]:
+    def _own_parameters(self) -> tuple[Parameter, ...]:
         acceleration = Parameter(
             RANGE_ACCELERATION,
             self.range_acceleration,
@@ -105,7 +105,7 @@ class ChanEKF(Snapshot):
             "m/s^2",
             meaning="process noise of a range difference: standard deviation",
         )
-        return (*self.position_filter.declarations.values(), *super().own, acceleration)
+        return (*self.position_filter.declarations.values(), *super()._own_parameters, acceleration)
 
     @cached_property
     def position_filter(self) -> Filter:

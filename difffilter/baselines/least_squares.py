@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
-import torch
 from torch import Tensor
 
 from difffilter.errors import InputError
+from difffilter.filters.declared import Composed, Part
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.motions.blocks import AXES
-from difffilter.parameters.parameters import (
-    Parameter,
-    Values,
-    check_values,
-    declare,
-    published_values,
-)
+from difffilter.parameters.parameters import Parameter, Values
 from difffilter.parameters.values import Constants
 from difffilter.sensors.sensor import Sensor
 from difffilter.start.fit import Fix, gauss_newton
@@ -30,8 +23,8 @@ __all__ = ["Snapshot", "TaylorLeastSquares", "gauss_newton"]
 
 
 @dataclass(frozen=True)
-class Snapshot:
-    """What estimators of the position alone share: parameters, constants and the track.
+class Snapshot(Composed):
+    """What estimators of the position alone share: declarations, and the track of a log.
 
     Attributes:
         sensors: the measurement models; channels are theirs, in order.
@@ -44,47 +37,9 @@ class Snapshot:
     overrides: Mapping[str, Parameter] = field(default_factory=dict)
 
     @property
-    def parts(self) -> tuple[Sensor | Weight, ...]:
-        """Components that declare parameters and prepare constants."""
-        return self.sensors
-
-    @property
-    def own(self) -> tuple[Parameter, ...]:
-        """Parameters as the components declare them."""
-        return tuple(p for part in self.parts for p in part.parameters)
-
-    @property
     def states(self) -> tuple[str, ...]:
         """Names of the position's components."""
         return AXES[: self.axes]
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels, in the order of a log's ``z``."""
-        return tuple(name for sensor in self.sensors for name in sensor.channels)
-
-    @cached_property
-    def declarations(self) -> dict[str, Parameter]:
-        """Every parameter, by name."""
-        own = declare(self.own)
-        unknown = set(self.overrides) - set(own)
-        if unknown:
-            raise InputError(f"{min(unknown)}: no such parameter, expected one of {', '.join(own)}")
-        return declare((own | dict(self.overrides)).values())
-
-    def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
-        """The declared values."""
-        return published_values(self.declarations, dtype)
-
-    def prepare(self, values: Values | None = None) -> Constants:
-        """Constants from physical values, the declared ones where missing."""
-        given = check_values(self.declarations, values)
-        dtype = next(iter(given.values())).dtype if given else torch.float64
-        complete = self.published(dtype) | given
-        constants = Constants(complete)
-        for part in self.parts:
-            constants = constants | part.prepare(complete)
-        return constants
 
     def estimate(
         self,
@@ -115,7 +70,7 @@ class Snapshot:
         self, log: Log, constants: Constants, values: Values | None, start: Start | None
     ) -> Fix:
         """Position of every row."""
-        raise NotImplementedError
+        raise NotImplementedError(type(self).__name__)
 
 
 @dataclass(frozen=True)
@@ -145,7 +100,7 @@ class TaylorLeastSquares(Snapshot):
     iterations: int = 10
 
     @property
-    def parts(self) -> tuple[Sensor | Weight, ...]:
+    def parts(self) -> Sequence[Part]:
         return (*self.sensors, self.weight)
 
     def fix(

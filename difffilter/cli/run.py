@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from difffilter.logs.log import Log
+    from difffilter.logs.times import Clock
     from difffilter.logs.track import Track
     from difffilter.scenario.case import Case
     from difffilter.scenario.checkpoint import Checkpoint
@@ -111,22 +112,12 @@ def command(args: Namespace) -> int:
 
     from difffilter.cli.estimates import Tally, write_estimates
     from difffilter.filters.recipe import Recipe
-    from difffilter.logs.log import stack_logs
-    from difffilter.logs.times import Clock
     from difffilter.running.smoothing import check_smoothable
     from difffilter.running.windows import run_windows
     from difffilter.scenario.estimation import estimate, started
-    from difffilter.scenario.recorded import read_run
     from difffilter.scenario.scenario import Scenario
-    from difffilter.scenario.sources import as_log
 
-    if isinstance(job.scenario, Scenario):
-        read = read_run(job.scenario, args.log)
-        log, clock = stack_logs([read.log]), read.clock
-        for line in read.told:
-            note(line)
-    else:
-        log, clock = as_log(job.scenario, [args.log]), Clock()
+    log, clock = _read(job.scenario, args.log)
     system = job.scenario.system(job.system)
     frozen = job.values.values if job.values else None
     temperature = job.values.temperature if job.values else None
@@ -164,6 +155,22 @@ def command(args: Namespace) -> int:
         say(f"{job.scenario.name}, {job.system}, values {job.label}: {told}")
         say(f"estimates written to {args.out}")
     return 0
+
+
+def _read(case: Case, path: str) -> tuple[Log, Clock]:
+    """The log as a batch of one, and what its times mean; tells what was done to it."""
+    from difffilter.logs.log import stack_logs
+    from difffilter.logs.times import Clock
+    from difffilter.scenario.recorded import read_run
+    from difffilter.scenario.scenario import Scenario
+    from difffilter.scenario.sources import as_log
+
+    if not isinstance(case, Scenario):
+        return as_log(case, [path]), Clock()
+    read = read_run(case, path)
+    for line in read.told:
+        note(line)
+    return stack_logs([read.log]), read.clock
 
 
 def _job(args: Namespace) -> Job:

@@ -12,19 +12,13 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.errors import InputError
+from difffilter.filters.declared import Overridable
 from difffilter.filters.filter import Filter
 from difffilter.filters.mixing import joint_record, kept, merged, normalised, own_belief, switching
 from difffilter.filters.recipe import Recipe, declared_start
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.constraints import Positive, Simplex
-from difffilter.parameters.parameters import (
-    Number,
-    Parameter,
-    Values,
-    as_number,
-    check_values,
-    declare,
-)
+from difffilter.parameters.parameters import Number, Parameter, Values, declare
 from difffilter.parameters.values import Constants
 from difffilter.registry import NAME
 from difffilter.sensors.sensor import Sensor
@@ -38,7 +32,7 @@ LEAST = -690.0
 
 
 @dataclass(frozen=True)
-class Mixture(Recipe):
+class Mixture(Overridable, Recipe):
     """Interacting multiple models (Blom and Bar-Shalom 1988): filters that exchange estimates.
 
     Every mode is a :class:`Filter` of the same states and channels; they differ in motion, noise,
@@ -104,11 +98,7 @@ class Mixture(Recipe):
             raise InputError(
                 f"modes.share: found {len(self.share)} numbers, expected {len(self.modes)}"
             )
-        unknown = set(self.overrides) - set(self._own)
-        if unknown:
-            raise InputError(
-                f"{min(unknown)}: no such parameter, expected one of {', '.join(self._own)}"
-            )
+        _ = self.declarations  # checked when it is made
 
     @property
     def first(self) -> Filter:
@@ -129,6 +119,16 @@ class Mixture(Recipe):
     def states(self) -> tuple[str, ...]:
         """Names of the n states, alike in all modes."""
         return self.first.states
+
+    @property
+    def error_states(self) -> tuple[str, ...]:
+        """Names of the rows of the deviations, alike in all modes."""
+        return self.first.error_states
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """What each state is, alike in all modes."""
+        return self.first.kinds
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -185,24 +185,9 @@ class Mixture(Recipe):
             own.append(declared_start(self.start_sigma, self.states))
         return declare(own)
 
-    def with_values(self, values: Values) -> Mixture:
-        """The same mixture with other declared values; InputError if one does not fit."""
-        changed = {
-            name: replace(self.declarations[name], value=as_number(value))
-            for name, value in check_values(self.declarations, values).items()
-        }
-        return replace(self, overrides=dict(self.overrides) | changed)
-
-    @cached_property
-    def declarations(self) -> dict[str, Parameter]:
-        """Every parameter, by name."""
-        return declare((self._own | dict(self.overrides)).values())
-
     def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
         """Constants of a run: each mode's own, named ``MODE/CONSTANT``, and the chain's."""
-        given = check_values(self.declarations, values)
-        dtype = next(iter(given.values())).dtype if given else torch.float64
-        complete = self.published(dtype) | given
+        complete = self.complete(values)
         constants = dict(complete)
         first = {name: complete[here] for name, here in self.names[next(iter(self.modes))].items()}
         constants.update(self.first.prepare(first, temperature).items())  # what a start reads
@@ -211,7 +196,7 @@ class Mixture(Recipe):
             for name, constant in filter.prepare(own, temperature).items():
                 constants[f"{mode}/{name}"] = constant
         if len(self.modes) == 1:
-            constants["modes.share"] = torch.ones(1, dtype=dtype)
+            constants["modes.share"] = torch.ones_like(complete["modes.rate"]).unsqueeze(0)
         return Constants(constants)
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:

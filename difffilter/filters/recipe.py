@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self
 
 import torch
@@ -13,6 +12,7 @@ from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.errors import InputError
+from difffilter.filters.declared import Composed, Declared, Part
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import (
@@ -20,41 +20,15 @@ from difffilter.parameters.parameters import (
     Parameter,
     Values,
     as_number,
-    check_values,
-    declare,
-    published_values,
 )
 from difffilter.parameters.values import Constants
 from difffilter.sensors.information import common_noise
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.stations import StationSensor
 
-__all__ = ["RULES", "Declared", "Modelled", "Recipe", "declared_start"]
+__all__ = ["RULES", "Modelled", "Recipe", "check_independent", "declared_start"]
 
 RULES = ("taylor", "cubature")
-
-
-class Declared(ABC):
-    """What an estimator of any kind tells about itself: states, channels, parameters."""
-
-    @property
-    @abstractmethod
-    def states(self) -> tuple[str, ...]:
-        """Names of the n states, the position first."""
-
-    @property
-    @abstractmethod
-    def channels(self) -> tuple[str, ...]:
-        """Names of the m channels, in the order of ``Measurement.z``."""
-
-    @property
-    @abstractmethod
-    def declarations(self) -> dict[str, Parameter]:
-        """Every parameter, by name."""
-
-    def published(self, dtype: torch.dtype = torch.float64) -> dict[str, Tensor]:
-        """The declared values by name, in the units that their declarations name."""
-        return published_values(self.declarations, dtype)
 
 
 class Recipe(Declared):
@@ -132,7 +106,7 @@ class Recipe(Declared):
 
 
 @dataclass(frozen=True)
-class Modelled(Recipe):
+class Modelled(Composed, Recipe):
     """A recipe of one motion and its sensors; base of :class:`Filter` and :class:`Fusion`.
 
     Attributes:
@@ -161,11 +135,7 @@ class Modelled(Recipe):
         names = self.channels
         if len(set(names)) != len(names):
             raise InputError(f"channels: found a name twice in {', '.join(names)}")
-        unknown = set(self.overrides) - set(self._own)
-        if unknown:
-            raise InputError(
-                f"{min(unknown)}: no such parameter, expected one of {', '.join(self._own)}"
-            )
+        _ = self.declarations  # checked when it is made
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -173,63 +143,31 @@ class Modelled(Recipe):
         return self.motion.states
 
     @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the m channels, in the order of ``Measurement.z``."""
-        return tuple(name for sensor in self.sensors for name in sensor.channels)
+    def error_states(self) -> tuple[str, ...]:
+        """Names of the rows of the deviations."""
+        return self.motion.tangent
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """What each state is, as the motion says."""
+        return self.motion.kinds
+
+    @property
+    def parts(self) -> Sequence[Part]:
+        """The motion and the sensors."""
+        return (self.motion, *self.sensors)
 
     @property
     def _more_parameters(self) -> tuple[Parameter, ...]:
         """Those that are neither the motion's, nor the sensors', nor the start's."""
         return ()
 
-    def _more_constants(self, values: Values) -> dict[str, Tensor]:
-        """Constants that neither motion nor sensors make of the complete values."""
-        return {}
-
-    @cached_property
-    def _own(self) -> dict[str, Parameter]:
-        parts: tuple[Motion | Sensor, ...] = (self.motion, *self.sensors)
-        own = [p for part in parts for p in part.parameters]
-        own += self._more_parameters
-        if self.start_sigma is not None:
-            own.append(declared_start(self.start_sigma, self.states))
-        return declare(own)
-
-    @cached_property
-    def declarations(self) -> dict[str, Parameter]:
-        """Every parameter of the filter, by name."""
-        return declare((self._own | dict(self.overrides)).values())
-
-    def with_values(self, values: Values) -> Self:
-        """The same recipe with other declared values; InputError if one does not fit."""
-        changed = {
-            name: replace(self.declarations[name], value=as_number(value))
-            for name, value in check_values(self.declarations, values).items()
-        }
-        return replace(self, overrides=dict(self.overrides) | changed)
-
-    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
-        """Constants of a run from physical values (the declared ones where missing).
-
-        Args:
-            values: by parameter name, differentiable.
-            temperature: of the soft weights and gates, for training; None for the hard,
-                published forms.
-
-        Raises:
-            InputError: an unknown name, a wrong shape or an inadmissible value.
-        """
-        given = check_values(self.declarations, values)
-        dtype = next(iter(given.values())).dtype if given else torch.float64
-        complete = self.published(dtype) | given
-        constants = dict(complete)
-        parts: tuple[Motion | Sensor, ...] = (self.motion, *self.sensors)
-        for part in parts:
-            constants.update(part.prepare(complete).items())
-        constants.update(self._more_constants(complete))
-        if temperature is not None:
-            constants["temperature"] = torch.tensor(temperature, dtype=dtype)
-        return Constants(constants)
+    @property
+    def _own_parameters(self) -> tuple[Parameter, ...]:
+        own = (*super()._own_parameters, *self._more_parameters)
+        if self.start_sigma is None:
+            return own
+        return (*own, declared_start(self.start_sigma, self.states))
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input of a sensor is missing: a platform."""

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Protocol
 
 from torch import Tensor
 
+from difffilter.logs.states import AXES, KINDS, kinds_by_name
 from difffilter.parameters.parameters import Parameter, Values
 from difffilter.parameters.values import Constants
 
 __all__ = ["AXES", "KINDS", "Inputs", "Motion", "MotionBase", "kinds_by_name"]
 
-AXES = ("x", "y", "z")
-#: What a state can be; an ``angle`` is in rad and its residual wraps.
-KINDS = ("position", "velocity", "angle", "other")
 Inputs = Mapping[str, Tensor]
 
 
@@ -96,9 +94,3 @@ class MotionBase:
 
     def local(self, a: Tensor, b: Tensor) -> Tensor:
         return b - a
-
-
-def kinds_by_name(states: Iterable[str]) -> dict[str, str]:
-    """x, y, z are positions, vx, vy, vz velocities, all else is other."""
-    kinds = dict.fromkeys(AXES, "position") | {f"v{axis}": "velocity" for axis in AXES}
-    return {name: kinds.get(name, "other") for name in states}
