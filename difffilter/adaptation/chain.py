@@ -56,6 +56,11 @@ class Chain:
         """Whether a part needs channels of independent noise."""
         return any(getattr(part, "independent_noise", False) for part in self.parts)
 
+    @property
+    def rescales(self) -> bool:
+        """Whether a part scales each state's past by a number of its own."""
+        return any(getattr(part, "rescales", False) for part in self.parts)
+
     def memory(self, mean: Tensor, channels: int) -> dict[str, Tensor]:
         """Those of all parts."""
         return {k: v for part in self.parts for k, v in part.memory(mean, channels).items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -105,6 +106,9 @@ class MultipleFading(StrongTracking):
     a = |H F|, its columns normalised; P <- L (P - Q) L + Q, L = diag sqrt(lambda). N with R / w,
     w the weight (Huber) of the innovation, which the filter's own weight then applies.
     """
+
+    #: No larger process noise makes this covariance of the same past: nothing to smooth by.
+    rescales: ClassVar[bool] = True
 
     def factors(self, linearised: Linearised, above: Tensor, below: Tensor) -> Tensor:
         n = linearised.mean.shape[-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 from torch import Tensor
 
@@ -26,7 +27,25 @@ from difffilter.robust.recovery import STREAK, Recovery
 from difffilter.robust.weighing import STANDARDISATIONS, Weighing
 from difffilter.weights.registry import Weight, plain
 
-__all__ = ["RULES", "STANDARDISATIONS", "Filter"]
+__all__ = ["RULES", "STANDARDISATIONS", "Filter", "Prior"]
+
+
+class Prior(NamedTuple):
+    """What a row is conditioned on.
+
+    Attributes:
+        linear: the prediction and the measurement, before any weighing.
+        present: (..., m), which channels are there.
+        memory: of the adaptation so far.
+        widening: (..., m) on gate and weights, of recovery; None without.
+        left_out: (..., m), channels isolated as not finite; None where nothing is isolated.
+    """
+
+    linear: Linearised
+    present: Tensor
+    memory: Mapping[str, Tensor]
+    widening: Tensor | None
+    left_out: Tensor | None
 
 
 @dataclass(frozen=True)
@@ -205,10 +224,8 @@ class Filter(Modelled):
 
         return self.recovery.applied(streak, linear, present, self.groups, weights, constants)
 
-    def step(
-        self, constants: Constants, belief: Belief, measurement: Measurement
-    ) -> tuple[Belief, Record]:
-        """Predict to the measurement's time, linearise, weigh, condition."""
+    def prior(self, constants: Constants, belief: Belief, measurement: Measurement) -> Prior:
+        """What a row is conditioned on: predicted, linearised, adapted, recovered."""
         predicted = predict(self, constants, belief, measurement, self.adaptation)
         linear, present = linearise(self, constants, predicted, measurement, self.clairvoyant)
         left_out = None
@@ -221,7 +238,15 @@ class Filter(Modelled):
             )
         if self.recovery is not None:
             linear, widening = self._recovered(constants, belief.memory[STREAK], linear, present)
-        conditioned, record = self.weighing.condition(constants, linear, present, widening)
+        return Prior(linear, present, memory, widening, left_out)
+
+    def step(
+        self, constants: Constants, belief: Belief, measurement: Measurement
+    ) -> tuple[Belief, Record]:
+        """Predict to the measurement's time, linearise, weigh, condition."""
+        prior = self.prior(constants, belief, measurement)
+        linear, present, memory = prior.linear, prior.present, prior.memory
+        conditioned, record = self.weighing.condition(constants, linear, present, prior.widening)
         if self.adaptation is not None:
             memory = self.adaptation.after_condition(
                 memory, linear, conditioned, record.weight, present, constants
@@ -230,8 +255,8 @@ class Filter(Modelled):
             before = belief.memory[STREAK]
             streak = self.recovery.count(before, record.weight, present, self.groups)
             memory = {**memory, STREAK: streak}
-        if left_out is not None:
-            record = record._replace(isolated=left_out)
+        if prior.left_out is not None:
+            record = record._replace(isolated=prior.left_out)
         n = linear.size
         posterior = conditioned.deviations[..., :n, :]
         if posterior.shape[-1] > n:  # common noise, cubature: static, by the recipe

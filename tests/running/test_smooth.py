@@ -163,8 +163,9 @@ def test_float32_stays_semidefinite(rng: np.random.Generator) -> None:
 def test_what_cannot_be_smoothed_is_told() -> None:
     log = Log(("position_1", "position_2"), torch.arange(3, dtype=D), torch.zeros(3, 2, dtype=D))
     start = Start(torch.zeros(4, dtype=D), torch.eye(4, dtype=D))
-    adaptive = Filter(ConstantVelocity(2), (Position(),), adaptation=df.StrongTracking())
-    with pytest.raises(InputError, match="smooth: found an adaptation"):
-        smooth(adaptive, log, start=start)
+    sensors = tuple(Position(name=name) for name in ("a", "b", "c"))
+    fused = df.Fusion(ConstantVelocity(2), sensors)
+    with pytest.raises(InputError, match="smooth: found Fusion, expected a filter"):
+        smooth(fused, log, start=start)
     with pytest.raises(InputError, match="lag"):
         smooth(Filter(ConstantVelocity(2), (Position(),)), log, start=start, lag=-1.0)
