@@ -13,7 +13,7 @@ from helpers import assert_close, tensor
 import difffilter as df
 from difffilter.adaptation.fading import MultipleFading
 from difffilter.adaptation.scaling import InnovationScaling
-from difffilter.core.beliefs import Belief, Measurement
+from difffilter.core.beliefs import Measurement
 from difffilter.errors import InputError
 from difffilter.filters.filter import Filter
 from difffilter.filters.stepping import step
