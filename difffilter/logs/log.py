@@ -15,7 +15,7 @@ __all__ = ["Log", "Rows", "Start", "stack_logs"]
 
 
 #: Inputs with one entry per channel.
-PER_CHANNEL = ("fault.mean", "fault.variance", "ideal.error", "ideal.variance")
+PER_CHANNEL = ("fault.mean", "fault.variance", "ideal.error", "ideal.variance", "hidden")
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["OPTIMISERS", "TuneSettings"]
+__all__ = ["HIDES", "OPTIMISERS", "TuneSettings"]
 
+#: What is hidden from the filter so that losses are of predictions.
+HIDES = ("nothing", "channels", "sensors", "ahead")
 OPTIMISERS = ("auto", "gauss-newton", "adam", "lbfgs", "random", "nelder-mead", "cma-es")
 
 
@@ -42,6 +44,10 @@ class TuneSettings:
             around them.
         scatter: standard deviation of that scattering, in unconstrained numbers.
         degrees: degrees of freedom of the likelihood loss's Student density.
+        hide: what the filter is not given in tuning, and is asked for instead: each channel
+            in turn (``channels``), each sensor (``sensors``), or windows of ``ahead`` seconds
+            (``ahead``). Losses are then of the hidden innovations.
+        ahead: s.
         window: rows of a training window of recorded logs.
         refresh: gradient steps between refreshes of the windows' warm starts.
     """
@@ -63,5 +69,7 @@ class TuneSettings:
     starts: int = 1
     scatter: float = 0.4
     degrees: float = 4.0
+    hide: str = "nothing"
+    ahead: float = 1.0
     window: int = 200
     refresh: int = 20

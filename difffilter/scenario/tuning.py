@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from difffilter.scenario.settings import OPTIMISERS, TuneSettings
+from difffilter.scenario.settings import HIDES, OPTIMISERS, TuneSettings
 from difffilter.scenario.table import Table
 from difffilter.scoring.losses import LOSSES
 
@@ -43,6 +43,8 @@ def read_tuning(table: Table, systems: Sequence[str]) -> TuneSettings:
         starts=table.integer("starts", base.starts, low=1),
         scatter=table.number("scatter", base.scatter, above=0.0),
         degrees=table.number("degrees", base.degrees, above=0.0),
+        hide=table.text("hide", base.hide, choices=HIDES),
+        ahead=table.number("ahead", base.ahead, above=0.0),
         window=table.integer("window", base.window, low=2),
         refresh=table.integer("refresh", base.refresh, low=1),
     )

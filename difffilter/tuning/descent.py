@@ -176,7 +176,7 @@ class Descent:
     def _step(self, step: int) -> float:
         """One step of the optimiser; the loss before it."""
         task, settings, parameters = self.task, self.task.settings, self.parameters
-        changed = task.data.refresh(task.filter, parameters.frozen_values(), step)
+        changed = task.data.refresh(task.runner, parameters.frozen_values(), step)
         if self.optimiser.full:
             index = torch.arange(task.count)
         else:

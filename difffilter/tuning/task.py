@@ -13,6 +13,7 @@ from torch import Tensor
 
 from difffilter.engine.choice import eager_seconds, settled
 from difffilter.errors import InputError
+from difffilter.filters.hiding import Hiding
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
@@ -26,7 +27,8 @@ from difffilter.scenario.families import family
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
-from difffilter.scoring.losses import LossContext
+from difffilter.scoring.hiding import hide_ahead, hide_channels, per_sensor
+from difffilter.scoring.losses import LOSSES, LossContext
 from difffilter.scoring.metrics import position_error
 from difffilter.seeds import stream
 from difffilter.tuning.curvature import Expansion, expand
@@ -70,6 +72,27 @@ class Task:
             return self.recipe.centralised
         return lean(self.recipe, self.train.only(self.recipe.channels))
 
+    @property
+    def runner(self) -> Recipe:
+        """What runs: the filter, or the filter without what is hidden from it."""
+        return self.filter if self.settings.hide == "nothing" else Hiding(self.filter)
+
+    def hidden(self, log: Log) -> Log:
+        """The log, as often as there are ways to hide a part of it."""
+        if self.settings.hide == "nothing":
+            return log
+        told = [name for name in self.settings.loss if LOSSES[name].needs_truth]
+        if told:
+            free = ", ".join(n for n, loss in LOSSES.items() if not loss.needs_truth)
+            raise InputError(
+                f"hide {self.settings.hide}: found loss {told[0]}, expected some of {free}"
+            )
+        if self.settings.hide == "ahead":
+            return hide_ahead(log, self.settings.ahead)
+        if self.settings.hide == "channels":
+            return hide_channels(log)
+        return hide_channels(log, per_sensor(self.filter))
+
     @cached_property
     def context(self) -> LossContext:
         """What the losses need beside track and log."""
@@ -78,7 +101,13 @@ class Task:
 
     @cached_property
     def parts(self) -> tuple[Log, Check]:
-        """Started logs to train on, and what validates."""
+        """Started logs to train on, and what validates; both with what is hidden of them."""
+        train, check = self._parts
+        before = None if check.before is None else self.hidden(check.before)
+        return self.hidden(train), check._replace(log=self.hidden(check.log), before=before)
+
+    @property
+    def _parts(self) -> tuple[Log, Check]:
         if self.train is None:
             train = self._drawn(self.settings.trajectories, "train")
             own = self.validation
@@ -153,7 +182,7 @@ class Task:
     def problem(self, batch: Batch, temperature: float | None) -> Problem:
         """What the loss of a batch is a function of values for."""
         return Problem(
-            self.filter,
+            self.runner,
             batch.log,
             self.settings.loss,
             start=batch.start,
@@ -183,7 +212,7 @@ class Task:
         if self.ranks.size > 1:
             check = check.select(self.ranks.share(torch.arange(check.log.trajectories)))
         with torch.no_grad():
-            loss, _ = self.loss(values, check.batch(self.filter, values, self.engine), None)
+            loss, _ = self.loss(values, check.batch(self.runner, values, self.engine), None)
         loss = torch.as_tensor(loss)
         self.ranks.agree([loss])
         if not bool(torch.isfinite(loss)):
@@ -192,8 +221,8 @@ class Task:
 
     def track(self, values: Values) -> Track:
         """The frozen form over the validation data."""
-        batch = self.check.batch(self.filter, values, self.engine)
-        return run(self.filter, batch.log, values, batch.start, engine=self.engine)
+        batch = self.check.batch(self.runner, values, self.engine)
+        return run(self.runner, batch.log, values, batch.start, engine=self.engine)
 
     def certainty(self, values: Values, capped: bool) -> Certainty | None:
         """How well the training data determine the values; None with torch: too slow there.
@@ -204,7 +233,7 @@ class Task:
         if self.engine == "torch":
             return None
         parameters = ParameterSet(self.filter.declarations, values)
-        self.data.refresh(self.filter, values, 0)
+        self.data.refresh(self.runner, values, 0)
         batch = self.data.batch(self.ranks.share(torch.arange(self.data.count)))
         cold = self.settings.temperature[1]
         return certainty(
@@ -226,7 +255,7 @@ class Task:
         settings, log = self.settings, self.check.log
         seconds = 5.0 * settings.starts * settings.steps * eager_seconds(log)
         few = Problem(
-            self.filter,
+            self.runner,
             self.parts[0].select(list(range(min(8, self.parts[0].trajectories)))),
             settings.loss,
             context=self.context,
