@@ -3,50 +3,87 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Record
-from difffilter.core.compression import compress
-from difffilter.core.linalg import positive_sqrt
+from difffilter.core.linalg import positive_sqrt, product, semidefinite_cholesky
 from difffilter.parameters.values import Constants
 
-__all__ = ["joint_record", "kept", "merged", "normalised", "own_belief", "switching"]
+__all__ = [
+    "Moments", "joint_record", "kept", "least", "merged", "mixed", "moments", "normalised",
+    "own_belief",
+]  # fmt: skip
 
 
-def merged(weights: Tensor, beliefs: Sequence[Belief]) -> Belief:
+class Moments(NamedTuple):
+    """Of K beliefs: what every merge of them is a weighted sum of.
+
+    Attributes:
+        beliefs: themselves.
+        covariances: P_i, each (..., n, n).
+        apart: (m_i - m_j)(m_i - m_j)^T of every two, i < j.
+    """
+
+    beliefs: Sequence[Belief]
+    covariances: Sequence[Tensor]
+    apart: Mapping[tuple[int, int], Tensor]
+
+
+def moments(beliefs: Sequence[Belief]) -> Moments:
+    """What the merges of these beliefs share; computed once for all of them."""
+    covariances = [product(b.deviations, b.deviations.mT) for b in beliefs]
+    apart = {}
+    for i, j in combinations(range(len(beliefs)), 2):
+        shift = beliefs[i].mean - beliefs[j].mean
+        apart[i, j] = shift.unsqueeze(-1) * shift.unsqueeze(-2)
+    return Moments(beliefs, covariances, apart)
+
+
+def merged(weights: Tensor, of: Moments) -> Belief:
     """Mean and deviations with the moments of a mixture of beliefs with weights (..., K).
 
-    m = sum w_i m_i and P = sum w_i (P_i + (m_i - m)(m_i - m)^T), as columns: semidefinite by
-    construction.
+    m = sum_i w_i m_i and P = sum_i w_i P_i + sum_{i<j} w_i w_j (m_i - m_j)(m_i - m_j)^T, the same
+    as sum_i w_i (P_i + (m_i - m)(m_i - m)^T) for weights that sum to 1: a sum of semidefinite
+    matrices, whose large parts do not cancel.
     """
-    if len(beliefs) == 1:
-        return beliefs[0]
+    if len(of.beliefs) == 1:
+        return of.beliefs[0]
     each = weights.unbind(-1)
-    mean = sum((w.unsqueeze(-1) * b.mean for w, b in zip(each, beliefs, strict=True)), 0.0)
-    assert isinstance(mean, Tensor)
-    columns = []
-    for w, b in zip(each, beliefs, strict=True):
-        root = positive_sqrt(w)[..., None, None]
-        columns += [root * b.deviations, root * (b.mean - mean).unsqueeze(-1)]
-    return Belief(mean, compress(*columns))
+    first, *more = (w.unsqueeze(-1) * b.mean for w, b in zip(each, of.beliefs, strict=True))
+    parts = [w[..., None, None] * p for w, p in zip(each, of.covariances, strict=True)]
+    parts += [(each[i] * each[j])[..., None, None] * d for (i, j), d in of.apart.items()]
+    return Belief(sum(more, first), semidefinite_cholesky(sum(parts[1:], parts[0])))
 
 
-def normalised(logarithm: Tensor, dim: int) -> tuple[Tensor, Tensor]:
-    """log sum exp along a dimension, kept, and the shares of it."""
-    largest = logarithm.amax(dim, keepdim=True)
-    parts = (logarithm - largest).exp()
-    total = parts.sum(dim, keepdim=True)
-    return largest + total.log(), parts / total
+def least(like: Tensor) -> float:
+    """Least probability: what it may sink to and still come back."""
+    return torch.finfo(like.dtype).tiny
 
 
-def switching(constants: Constants, dt: Tensor) -> Tensor:
-    """log P_ij(dt), (..., K, K)."""
+def normalised(logarithm: Tensor) -> Tensor:
+    """Shares (..., K) of the exponentials; whatever their size."""
+    parts = (logarithm - logarithm.amax(-1, keepdim=True)).exp()
+    return parts / parts.sum(-1, keepdim=True)
+
+
+def mixed(known: Tensor, constants: Constants, dt: Tensor) -> tuple[Tensor, Tensor]:
+    """c_j = sum_i mu_i P_ij(dt), (..., K), and the weights mu_i P_ij / c_j, (..., K, K).
+
+    P_ij = kept [i = j] + (1 - kept) share_j: with that, c_j = kept mu_j + (1 - kept) share_j.
+    """
     share = constants["modes.share"]
-    kept = (-constants["modes.rate"] * dt)[..., None, None].exp()
+    kept = (-constants["modes.rate"] * dt).exp().unsqueeze(-1)
+    drawn = ((1.0 - kept) * share).clamp_min(least(share))
+    stays = kept * known
+    predicted = stays + drawn * known.sum(-1, keepdim=True)
     unit = torch.eye(len(share), dtype=share.dtype, device=share.device)
-    return (kept * unit + (1.0 - kept) * share).clamp_min(torch.finfo(share.dtype).tiny).log()
+    # The share of c_j that came anew, of every mode as it was likely; the rest is mode j itself.
+    anew = known.unsqueeze(-1) * (drawn / predicted).unsqueeze(-2)
+    return predicted, anew + unit * (stays / predicted).unsqueeze(-2)
 
 
 def kept(mode: str, belief: Belief) -> dict[str, Tensor]:
@@ -75,14 +112,9 @@ def joint_record(predicted: Tensor, probability: Tensor, records: Sequence[Recor
 
     first = records[0]
     innovation = mean(predicted, [record.innovation for record in records])
-    columns = []
-    for root, record in zip(positive_sqrt(predicted).unbind(-1), records, strict=True):
-        root = root[..., None, None]
-        apart = (innovation - record.innovation).unsqueeze(-1)
-        columns += [root * record.observed, root * apart]
     return Record(
         innovation=innovation,
-        observed=torch.cat(columns, dim=-1),
+        observed=_spread(predicted, records),
         noise=mean(predicted, [record.noise for record in records]),
         standardised=mean(probability, [record.standardised for record in records]),
         weight=mean(probability, [record.weight for record in records]),
@@ -92,3 +124,22 @@ def joint_record(predicted: Tensor, probability: Tensor, records: Sequence[Recor
         present=first.present,
         isolated=first.isolated,
     )
+
+
+def _spread(predicted: Tensor, records: Sequence[Record]) -> Tensor:
+    """Columns of the predicted measurement's covariance over all modes: as few as there can be."""
+    each = predicted.unbind(-1)
+    m, k = records[0].observed.shape[-2:]
+    if m <= len(records) * (k + 1):
+        of = moments([Belief(record.innovation, record.observed) for record in records])
+        return merged(predicted, of).deviations
+    innovation = sum(
+        (p.unsqueeze(-1) * r.innovation for p, r in zip(each[1:], records[1:], strict=True)),
+        each[0].unsqueeze(-1) * records[0].innovation,
+    )
+    columns = []
+    for p, record in zip(each, records, strict=True):
+        root = positive_sqrt(p)[..., None, None]
+        apart = (innovation - record.innovation).unsqueeze(-1)
+        columns += [root * record.observed, root * apart]
+    return torch.cat(columns, dim=-1)

@@ -14,7 +14,16 @@ from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.errors import InputError
 from difffilter.filters.declared import Overridable
 from difffilter.filters.filter import Filter
-from difffilter.filters.mixing import joint_record, kept, merged, normalised, own_belief, switching
+from difffilter.filters.mixing import (
+    joint_record,
+    kept,
+    least,
+    merged,
+    mixed,
+    moments,
+    normalised,
+    own_belief,
+)
 from difffilter.filters.recipe import Recipe, declared_start
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.constraints import Positive, Simplex
@@ -25,10 +34,8 @@ from difffilter.sensors.sensor import Sensor
 
 __all__ = ["PROBABILITY", "Mixture"]
 
-#: Memory: logarithm of each mode's probability, (..., K).
-PROBABILITY = "mixture.log_probability"
-#: Least logarithm of a probability: what it may sink to and still come back.
-LEAST = -690.0
+#: Memory: each mode's probability, (..., K).
+PROBABILITY = "mixture.probability"
 
 
 @dataclass(frozen=True)
@@ -219,13 +226,12 @@ class Mixture(Overridable, Recipe):
         """One row; see the class."""
         beliefs = [own_belief(mode, belief.memory) for mode in self.modes]
         known = belief.memory[PROBABILITY]
-        known = torch.where(torch.isnan(known), constants["modes.share"].log(), known)
-        joint = known.unsqueeze(-1) + switching(constants, measurement.dt)  # (..., i, j)
-        predicted, mixing = normalised(joint, -2)
-        predicted = predicted.squeeze(-2)
+        known = torch.where(torch.isnan(known), constants["modes.share"], known)
+        predicted, mixing = mixed(known, constants, measurement.dt)
+        before = moments(beliefs)
         after, records = [], []
         for j, (mode, filter) in enumerate(self.modes.items()):
-            prior = merged(mixing[..., j], beliefs)._replace(memory=beliefs[j].memory)
+            prior = merged(mixing[..., j], before)._replace(memory=beliefs[j].memory)
             own = {
                 name[len(mode) + 1 :]: constant
                 for name, constant in constants.items()
@@ -238,10 +244,9 @@ class Mixture(Overridable, Recipe):
         densities = torch.stack(
             [(believed * record.log_densities).sum(-1) for record in records], dim=-1
         )
-        total, probability = normalised(predicted + densities, -1)
-        logarithm = (predicted + densities - total).clamp_min(LEAST)
-        output = merged(probability, after)
-        memory = {PROBABILITY: logarithm}
+        probability = normalised(predicted.log() + densities)
+        output = merged(probability, moments(after))
+        memory = {PROBABILITY: probability.clamp_min(least(probability))}
         for mode, posterior in zip(self.modes, after, strict=True):
             memory |= kept(mode, posterior)
-        return output._replace(memory=memory), joint_record(predicted.exp(), probability, records)
+        return output._replace(memory=memory), joint_record(predicted, probability, records)

@@ -94,7 +94,7 @@ def test_equal_to_the_textbook_over_a_whole_log() -> None:
     assert_close(track.mean, means, 1e-9)
     assert_close(track.covariance, covs, 1e-9)
     assert track.final is not None
-    assert_close(track.final.memory[PROBABILITY].exp(), probability[-1], 1e-9)
+    assert_close(track.final.memory[PROBABILITY], probability[-1], 1e-9)
 
 
 @pytest.mark.parametrize("count", [1, 3])
@@ -121,7 +121,7 @@ def test_probabilities_are_sound_at_any_innovation(size: float, weight: object) 
     z[10] += size * 5.0
     track = run(mixture, replace(given, z=z), start=start(), engine="torch")
     assert track.final is not None
-    probability = track.final.memory[PROBABILITY].exp()
+    probability = track.final.memory[PROBABILITY]
     assert bool(torch.isfinite(track.mean).all())
     assert float(probability.sum()) == pytest.approx(1.0, abs=1e-12)
     assert bool(((probability >= 0) & (probability <= 1)).all())
@@ -137,8 +137,8 @@ def test_a_row_that_every_mode_rejects_says_nothing_of_the_mode() -> None:
     assert after is not None
     dt = float(given.time[10] - given.time[9])
     kept, share = np.exp(-0.08 * dt), np.array([0.6, 0.3, 0.1])
-    expected = kept * array(before.memory[PROBABILITY].exp()) + (1.0 - kept) * share
-    assert_close(after.memory[PROBABILITY].exp(), expected, 1e-12)
+    expected = kept * array(before.memory[PROBABILITY]) + (1.0 - kept) * share
+    assert_close(after.memory[PROBABILITY], expected, 1e-12)
 
 
 def test_a_mode_does_not_win_by_rejecting() -> None:
@@ -151,7 +151,7 @@ def test_a_mode_does_not_win_by_rejecting() -> None:
     z[5:] += torch.tensor([40.0, -40.0], dtype=torch.float64)
     track = run(mixture, Log(("x", "y"), time, z), start=start(), engine="torch")
     assert track.final is not None
-    assert float(track.final.memory[PROBABILITY].exp()[1]) > 0.99
+    assert float(track.final.memory[PROBABILITY][1]) > 0.99
 
 
 def test_gradients_towards_every_value() -> None:
@@ -205,10 +205,10 @@ def test_the_record_holds_the_probabilities_of_every_row(engine: str) -> None:
     assert track.final is not None
     assert track.record.modes.shape == (20, 3)
     assert_close(track.record.modes.sum(-1), np.ones(20), 1e-12)
-    assert_close(track.record.modes[-1], array(track.final.memory[PROBABILITY].exp()), 1e-12)
+    assert_close(track.record.modes[-1], array(track.final.memory[PROBABILITY]), 1e-12)
     before = run(mixture, given.rows(0, 12), start=start(), engine="torch")
     assert before.final is not None
-    assert_close(track.record.modes[11], array(before.final.memory[PROBABILITY].exp()), 1e-9)
+    assert_close(track.record.modes[11], array(before.final.memory[PROBABILITY]), 1e-9)
 
 
 def test_a_filter_has_no_modes() -> None:

@@ -22,7 +22,12 @@ def test_the_scenes_have_two_hand_picked_mixtures() -> None:
     tuned = {name for name, p in turns.declarations.items() if p.tuned}
     assert tuned == {
         "calm.motion.state_sigma", "left.motion.state_sigma", "right.motion.state_sigma",
-        "wide.motion.state_sigma", "motion.turn_rate", "modes.rate", "pooled.sigma",
+        "wide.motion.state_sigma", "motion.turn_rate", "modes.rate", "modes.share", "pooled.sigma",
+    }  # fmt: skip
+    tuned = {name for name, p in imm.declarations.items() if p.tuned}
+    assert tuned == {
+        "calm.motion.state_sigma", "wild.motion.acceleration", "modes.rate", "modes.share",
+        "pooled.sigma",
     }  # fmt: skip
 
 
