@@ -77,8 +77,14 @@ class Mixture(Overridable, Recipe):
         >>> radar = (Position(sigma=5.0),)
         >>> calm = Filter(ConstantVelocity(2, acceleration=0.1), radar)
         >>> wild = Filter(ConstantVelocity(2, acceleration=9.0), radar)
-        >>> sorted(Mixture({"calm": calm, "wild": wild}, rate=0.05).declarations)[:3]
-        ['calm.motion.acceleration', 'modes.rate', 'modes.share']
+        >>> several = Mixture({"calm": calm, "wild": wild}, rate=0.05)
+        >>> print(*several.declarations, sep=chr(10))
+        calm.motion.acceleration
+        position.sigma
+        position.bias
+        wild.motion.acceleration
+        modes.rate
+        modes.share
     """
 
     modes: Mapping[str, Filter]
