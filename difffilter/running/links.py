@@ -23,7 +23,7 @@ from difffilter.motions.protocol import Motion
 from difffilter.motions.retraction import moved
 from difffilter.parameters.values import Constants
 
-__all__ = ["Estimates", "Links", "check_smoothable", "link", "links", "step_back"]
+__all__ = ["Estimates", "Links", "adapted", "check_smoothable", "link", "links", "step_back"]
 
 #: Mean (..., n) and deviations (..., p, p).
 Estimates = tuple[Tensor, Tensor]

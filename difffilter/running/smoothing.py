@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief
 from difffilter.core.smooth import Backward
+from difffilter.engine.choice import eager_seconds, with_engine
 from difffilter.errors import InputError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
@@ -17,7 +19,7 @@ from difffilter.logs.track import Track
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import check_finite, prepared, run
-from difffilter.running.links import Estimates, Links, check_smoothable, links, step_back
+from difffilter.running.links import Estimates, Links, adapted, check_smoothable, links, step_back
 from difffilter.running.reweighting import check_weighs, told, weights_of
 
 __all__ = ["check_smoothable", "smooth", "smoothed"]
@@ -48,7 +50,8 @@ def smooth(
         lag: s; each row is estimated from the measurements until so much later. All if
             infinite (fixed-interval).
         passes: of reweighting.
-        engine: of the filter; the way back is torch's.
+        engine: as for :func:`difffilter.run`, of both ways; torch's on the way back with a
+            lag, for adaptations and for gradients.
 
     Returns:
         Track with smoothed means (T, ..., n) and deviations; record and final belief are the
@@ -67,14 +70,15 @@ def smooth(
         recipe, log, values, start, temperature=temperature, progress=progress, engine=engine
     )
     start = start if start is not None else log.start
-    track = smoothed(recipe, log, track, values, start, lag=lag, temperature=temperature)
+    settings: dict[str, Any] = {"lag": lag, "temperature": temperature, "engine": engine}
+    track = smoothed(recipe, log, track, values, start, **settings)
     constants = prepared(filter, log, values, start, temperature)[0]
     for _ in range(passes):
         weight = weights_of(filter, constants, log, track)
         again, weighed = told(filter, log, weight)
         known = {n: v for n, v in (values or {}).items() if n in again.declarations}
         track = run(again, weighed, known, start, temperature=temperature, engine="torch")
-        track = smoothed(again, weighed, track, known, start, lag=lag, temperature=temperature)
+        track = smoothed(again, weighed, track, known, start, **settings)
         assert track.record is not None
         record = track.record._replace(weight=weight, present=~torch.isnan(log.z))
         track = replace(track, record=record)
@@ -90,6 +94,7 @@ def smoothed(
     *,
     lag: float = math.inf,
     temperature: float | None = None,
+    engine: str = "auto",
 ) -> Track:
     """A filter's track of a log smoothed: the way back of :func:`smooth`, same arguments."""
     if not lag >= 0.0:
@@ -98,11 +103,25 @@ def smoothed(
     constants, first, intervals = prepared(filter, log, values, start, temperature)
     if log.steps == 1:
         return track
-    steps = links(filter, constants, log, track, first, intervals)
-    if math.isinf(lag):
-        mean, deviations = _interval(filter.motion, track, steps)
-    else:
-        mean, deviations = _lagged(filter.motion, track, steps, _until(log.time, lag))
+    job = constants, log, track
+    differentiable = torch.is_grad_enabled() and any(
+        x.requires_grad for x in (*constants.values(), track.mean, track.deviations)
+    )
+
+    def fused() -> Estimates:
+        from difffilter.running.reversal import compiled_back
+
+        return compiled_back(filter, *job, intervals)
+
+    def plain() -> Estimates:
+        steps = links(filter, *job, first, intervals)
+        if math.isinf(lag):
+            return _interval(filter.motion, track, steps)
+        return _lagged(filter.motion, track, steps, _until(log.time, lag))
+
+    able = not differentiable and math.isinf(lag) and not adapted(filter)
+    seconds = eager_seconds(log)
+    mean, deviations = with_engine(engine if able else "torch", fused, plain, seconds)
     found = replace(track, mean=mean, deviations=deviations)
     check_finite(found)
     return found
