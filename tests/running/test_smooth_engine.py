@@ -31,9 +31,8 @@ def test_engines_agree(lead: tuple[int, ...]) -> None:
     time[4] = time[3]
     z = 20.0 + 5.0 * torch.randn(rows, *lead, 5, generator=generator, dtype=D)
     z[torch.rand(z.shape, generator=generator) < 0.3] = torch.nan
-    start = Start(
-        torch.full((4,), 15.0, dtype=D), torch.diag(torch.tensor([9.0, 0, 4, 0])).double()
-    )
+    known = torch.tensor([9.0, 0.0, 4.0, 0.0], dtype=D)
+    start = Start(torch.full((4,), 15.0, dtype=D), torch.diag(known))
     log = Log(recipe.channels, time, z)
     found = smooth(recipe, log, start=start, engine="fused")
     expected = smooth(recipe, log, start=start, engine="torch")
