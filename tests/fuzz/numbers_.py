@@ -65,6 +65,20 @@ def check(drawn: dict[str, Any], tally: Tally) -> None:
         if other is None:
             raise Violation("torch has a result, the compiled engine none")
         _equal(track, other)
+        _hostile(recipe, drawn["log"], tally)
+
+
+def _hostile(recipe: Any, spec: dict[str, Any], tally: Tally) -> None:
+    """What is compiled once goes over hostile logs too: sound, or an error by name."""
+    rng = random.Random(spec["seed"])
+    for _ in range(4):
+        log, start = rows.make({**rows.draw(rng, True), "float32": False}, recipe)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            track = _run(recipe, log, start, "fused", tally)
+        tally.counts["steps compiled"] += log.steps * log.trajectories
+        if track is not None:
+            _sound(track)
 
 
 def _run(recipe: Any, log: Any, start: Any, engine: str, tally: Tally) -> Any:

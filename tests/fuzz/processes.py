@@ -1,152 +1,204 @@
-"""Kills and resumes, full and missing disks, damaged caches: whole results or one line."""
+"""Kills and resumes, full and read-only disks, damaged caches: whole results or one line."""
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
 import signal
-import subprocess
-import sys
+import time
+from functools import cache as once
 from pathlib import Path
 
+from commands import Command, aged, whole
 from outcome import Tally, Violation
 
 __all__ = ["cache", "disk", "kill"]
 
-SMALL = [
-    "airport-mlat", "--set", "world.steps=10", "--set", "tuning.validation=4",
-    "--set", "tuning.test=4",
-    "--set", "tuning.optimiser=adam", "--trajectories", "8", "--quiet", "--engine", "torch",
+WORLD = ["airport-mlat", "--set", "world.steps=4"]
+TUNE = [
+    "tune", *WORLD, "--system", "ekf", "--set", "tuning.validation=2", "--set", "tuning.test=2",
+    "--set", "tuning.optimiser=adam", "--trajectories", "2", "--steps", "12", "--quiet",
+    "--engine", "torch", "--out", "x.json",
 ]  # fmt: skip
-LIMIT = 120
+SEARCH = [word.replace("=adam", "=random") for word in TUNE]
+SIMULATE = ["simulate", *WORLD, "--trajectories", "40", "--seed", "3", "--quiet", "--out", "x"]
+RUN = ["run", "airport-mlat", "log.csv", "--system", "ekf", "--engine", "torch", "--out", "x.csv"]
+SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 
 
-def _process(args: list[str], **environment: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "difffilter", *args],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"OMP_NUM_THREADS": "1"} | environment,
-    )
+def _at(place: Path, args: list[str], disk: str = "", **environment: str) -> Command:
+    """The command with its files in a folder; what it says goes beside that."""
+    out = ("x", "x.json", "x.csv", "log.csv")
+    words = [str(place / word) if word in out else word for word in args]
+    return Command(words, place.with_suffix(".said"), environment, disk)
 
 
-def _end(process: subprocess.Popen[str]) -> tuple[int, str]:
-    try:
-        _, said = process.communicate(timeout=LIMIT)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
-        raise Violation("a command that does not end") from None
-    return process.returncode, said
+def _log(folder: Path) -> Path:
+    return sorted((folder / "logs").glob("airport*.csv"))[0]
+
+
+@once
+def _undisturbed(args: tuple[str, ...], folder: Path) -> tuple[float, dict[str, bytes]]:
+    """How long a command takes, and the files that it writes."""
+    place = folder / f"undisturbed-{abs(hash(args))}"
+    place.mkdir()
+    shutil.copy(_log(folder), place / "log.csv")
+    begun = time.monotonic()
+    _at(place, list(args)).sound(0)
+    return time.monotonic() - begun, _files(place)
+
+
+def _files(place: Path) -> dict[str, bytes]:
+    found = {}
+    for path in sorted(place.rglob("*")):
+        if path.is_file() and path.name != "log.csv":
+            found[str(path.relative_to(place))] = _lasting(path)
+    return found
+
+
+def _lasting(path: Path) -> bytes:
+    """What is the same in each run: a checkpoint without the time that it took."""
+    data = path.read_bytes()
+    if path.suffix != ".json":
+        return data
+    read = json.loads(data)
+    return json.dumps({key: read.get(key) for key in ("parameters", "values", "system")}).encode()
 
 
 def kill(seed: int, tally: Tally, folder: Path) -> None:
-    """A tuning killed at a random moment: nothing half-written, and it resumes."""
+    """A command killed at random moments leaves nothing half-written; it ends as if undisturbed."""
     rng = random.Random(seed)
     place = folder / f"kill-{seed}"
     place.mkdir()
-    out = place / "x.json"
-    tune = ["tune", *SMALL, "--steps", "60", "--out", str(out)]
+    shutil.copy(_log(folder), place / "log.csv")
+    args = rng.choice((TUNE, TUNE, TUNE, SEARCH, SIMULATE, RUN))
+    command = _at(place, args)
+    state = place / "x.state.pt"
     try:
-        process = _process(tune)
-        try:
-            process.communicate(timeout=rng.uniform(1.5, 6.0))
-        except subprocess.TimeoutExpired:
-            process.send_signal(rng.choice((signal.SIGKILL, signal.SIGTERM, signal.SIGINT)))
-            process.communicate()
-        tally.counts["kills"] += 1
-        resume = ["--resume"] if (place / "x.state.pt").exists() else []
-        code, said = _end(_process([*tune, *resume]))
-        if code != 0:
-            raise Violation(f"resume: exit code {code}: {said[:200]}")
-        tally.counts["resumes"] += bool(resume)
-        left = sorted(path.name for path in place.iterdir())
-        if left != ["x.json"]:
-            raise Violation(f"left behind: {', '.join(left)}")
-        code, said = _end(_process(["show", str(out)]))
-        if code != 0:
-            raise Violation(f"show of the result: {said[:200]}")
+        seconds, expected = _undisturbed(tuple(args), folder)
+        for _ in range(rng.choice((1, 2, 3))):
+            if command.killed(rng.uniform(0.0, seconds), rng.choice(SIGNALS)):
+                tally.counts["kills"] += 1
+            half = [p.name for p in place.iterdir() if p.name[0] != "." and not whole(p)]
+            if half:
+                raise Violation(f"half-written: {', '.join(half)}")
+            if state.exists() and "--resume" not in command.args:
+                command.args.append("--resume")
+            elif not state.exists() and "--resume" in command.args:
+                command.args.remove("--resume")
+        aged(place)
+        if state.exists() and rng.random() < 0.2:
+            _damaged_state(command, state, rng, tally)
+        command.sound(0)
+        tally.counts["resumes"] += "--resume" in command.args
+        _compare(expected, _files(place))
     except Violation as error:
-        tally.violation("kill", seed, str(error), {"command": tune})
+        tally.violation("kill", seed, str(error), {"command": command.args})
     finally:
         shutil.rmtree(place, ignore_errors=True)
 
 
+def _damaged_state(command: Command, state: Path, rng: random.Random, tally: Tally) -> None:
+    """A state with other bytes is refused by name, and the run starts anew without it."""
+    data = bytearray(state.read_bytes())
+    at = rng.randrange(len(data))
+    data[at] ^= 1 << rng.randrange(8)
+    state.write_bytes(data if rng.random() < 0.5 else data[:at])
+    tally.counts["damaged states"] += 1
+    command.sound(2)
+    state.unlink()
+    command.args.remove("--resume")
+
+
+def _compare(expected: dict[str, bytes], found: dict[str, bytes]) -> None:
+    if sorted(found) != sorted(expected):
+        raise Violation(f"files: found {sorted(found)[:5]}, expected {sorted(expected)[:5]}")
+    other = [name for name in expected if found[name] != expected[name]]
+    if other:
+        raise Violation(f"other contents than undisturbed: {', '.join(other[:5])}")
+
+
 def disk(seed: int, tally: Tally, folder: Path) -> None:
-    """Results into places that take none: a full device, a file for a folder, no folder."""
+    """Results onto a full or read-only disk, or into no place: whole, or one line and nothing."""
     rng = random.Random(seed)
-    blocker = folder / "file"
-    blocker.write_text("x")
-    place = rng.choice(
-        ("/dev/full", str(blocker / "x"), "/proc/x", str(folder / "no" / "such" / "x"))
-    )
-    command = rng.choice(
-        (
-            ["tune", *SMALL, "--steps", "2", "--out", f"{place}.json"],
-            [
-                "simulate",
-                "airport-mlat",
-                "--set",
-                "world.steps=5",
-                "--trajectories",
-                "1",
-                "--out",
-                place,
-            ],
-            ["show", "airport-mlat", "--out", place],
-        )
-    )
-    tally.counts["bad places"] += 1
+    place = folder / "disk"
+    place.mkdir(exist_ok=True)
+    args = rng.choice((TUNE, SEARCH, SIMULATE, RUN))
+    args = [word if word != "12" else "3" for word in args]
+    args = [word if word != "log.csv" else str(_log(folder)) for word in args]
+    options = rng.choice(("ro", "size=4k", "size=8k", "size=16k", "size=32k", "size=64k"))
+    command = _at(place, args, f"{place}:{options}", DIFFFILTER_CACHE=str(place / "cache"))
+    if rng.random() < 0.3:  # the cache alone is there: results are written elsewhere
+        beside = folder / "disk-beside"
+        shutil.rmtree(beside, ignore_errors=True)
+        beside.mkdir()
+        command = _at(beside, args, f"{place}:{options}", DIFFFILTER_CACHE=str(place / "cache"))
+        command.args = [word if word != "torch" else "auto" for word in command.args]
+        codes: tuple[int, ...] = (0,)
+    else:
+        codes = (0, 2)
+        if rng.random() < 0.2:
+            blocker = folder / "file"
+            blocker.write_text("x")
+            command = _at(rng.choice((blocker, Path("/proc/x"), Path("/dev/full"))), args)
+            command.log, codes = folder / "disk.said", (2,)
+    tally.counts["full and read-only disks"] += 1
     try:
-        code, said = _end(_process(command))
-        if "Traceback" in said or code not in (0, 2):
-            raise Violation(f"{command[0]} into {place}: exit code {code}: {said[-200:]}")
+        command.sound(*codes)
+        left = command.log.with_suffix(".left")
+        if left.exists():
+            found = json.loads(left.read_text())
+            left.unlink()
+            half = [name for name, complete in found.items() if not complete]
+            if half:
+                raise Violation(f"{args[0]}, disk {options}: half-written {', '.join(half)}")
     except Violation as error:
-        tally.violation("disk", seed, str(error), {"command": command})
+        tally.violation("disk", seed, str(error), {"command": command.args, "disk": command.disk})
 
 
 def cache(seed: int, tally: Tally, folder: Path) -> None:
     """A damaged cache of compiled steps is rebuilt: the same estimates, whatever is in it."""
     rng = random.Random(seed)
-    place = folder / "cache"
-    log = sorted((folder / "logs").glob("airport*.csv"))[0]
-    out = folder / "estimates.csv"
-    command = [
-        "run",
-        "airport-mlat",
-        str(log),
-        "--system",
-        "ekf",
-        "--engine",
-        "fused",
-        "--out",
-        str(out),
-    ]
+    place, damaged_place = folder / "cache", folder / "cache-damaged"
+    args = [word if word != "log.csv" else str(_log(folder)) for word in RUN]
+    args[args.index("torch")] = rng.choice(("fused", "auto"))
+    fresh = folder / "cache-run"
+    fresh.mkdir(exist_ok=True)
     try:
-        code, said = _end(_process(command, DIFFFILTER_CACHE=str(place)))
-        if code != 0:
-            raise Violation(f"run with a fresh cache: {said[:200]}")
-        expected = out.read_bytes()
-        files = [path for path in place.rglob("*") if path.is_file()]
-        damaged = rng.choice(files)
-        data = damaged.read_bytes()
-        kind = rng.randrange(4)
-        if kind == 0:
-            damaged.write_bytes(b"")
-        elif kind == 1:
-            damaged.write_bytes(data[: rng.randrange(len(data) + 1)])
-        elif kind == 2:
-            at = rng.randrange(max(1, len(data)))
-            damaged.write_bytes(data[:at] + os.urandom(64) + data[at + 64 :])
-        else:
-            damaged.unlink()
+        _at(fresh, args, DIFFFILTER_CACHE=str(place)).sound(0)
+        expected = (fresh / "x.csv").read_bytes()
+        shutil.rmtree(damaged_place, ignore_errors=True)
+        shutil.copytree(place, damaged_place)
+        kinds = [_damage(damaged_place, rng) for _ in range(rng.choice((1, 1, 2, 4)))]
         tally.counts["damaged caches"] += 1
-        code, said = _end(_process(command, DIFFFILTER_CACHE=str(place)))
-        if code != 0:
-            raise Violation(f"damage {kind} of {damaged.name}: exit code {code}: {said[:200]}")
-        if out.read_bytes() != expected:
-            raise Violation(f"damage {kind} of {damaged.name}: other estimates")
+        _at(fresh, args, DIFFFILTER_CACHE=str(damaged_place)).sound(0)
+        if (fresh / "x.csv").read_bytes() != expected:
+            raise Violation(f"{', '.join(kinds)}: other estimates")
     except Violation as error:
-        tally.violation("cache", seed, str(error), {"command": command})
+        tally.violation("cache", seed, str(error), {"command": args})
+
+
+def _damage(place: Path, rng: random.Random) -> str:
+    """One file of a cache emptied, cut, written over, removed or put in another's place."""
+    files = sorted(path for path in place.rglob("*") if path.is_file())
+    if not files:
+        return "nothing"
+    path, kind = rng.choice(files), rng.randrange(6)
+    data = path.read_bytes()
+    at = rng.randrange(len(data) + 1)
+    if kind == 0:
+        path.write_bytes(b"")
+    elif kind == 1:
+        path.write_bytes(data[:at])
+    elif kind == 2:
+        path.write_bytes(data[:at] + os.urandom(64) + data[at + 64 :])
+    elif kind == 3:
+        path.unlink()
+        path.mkdir()
+    elif kind == 4:
+        path.write_bytes(rng.choice(files).read_bytes() if path.is_file() else b"")
+    else:
+        path.unlink()
+    return f"damage {kind} of {path.name}"
