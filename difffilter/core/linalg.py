@@ -85,13 +85,14 @@ def minimum_norm(h: Tensor, d: Tensor) -> Tensor:
     """Least-squares solution x (..., j) of H x = d of least norm, whatever the rank of H.
 
     With H^T H = L L^T, C the columns of L with a pivot: x = C (C^T C)^-2 C^T H^T d. A pivot
-    within 100 units of rounding of its diagonal counts as zero.
+    within 100 units of rounding of the largest diagonal entry counts as zero, so that C^T C is
+    never singular.
 
     Args:
         h: (..., m, j); d: (..., m).
     """
     normal = h.mT @ h
-    columns, _ = factor(normal.movedim((-2, -1), (0, 1)).contiguous(), 100.0)
+    columns, _ = factor(normal.movedim((-2, -1), (0, 1)).contiguous(), 100.0, largest=True)
     lower = columns.movedim((0, 1), (-1, -2))
     inner = lower.mT @ lower
     missing = (inner.diagonal(dim1=-2, dim2=-1) == 0.0).to(inner.dtype)
@@ -101,14 +102,19 @@ def minimum_norm(h: Tensor, d: Tensor) -> Tensor:
     return (lower @ solved).squeeze(-1)
 
 
-def factor(remainder: Tensor, units: float | None = None) -> tuple[Tensor, list[Tensor]]:
+def factor(
+    remainder: Tensor, units: float | None = None, largest: bool = False
+) -> tuple[Tensor, list[Tensor]]:
     """Of (n, n, ...): the columns of L, (column, row, ...), and the inverse root of each pivot.
 
-    A pivot is zero within ``units`` (n if None) of rounding of its diagonal entry.
+    A pivot is zero within ``units`` (n if None) of rounding of its diagonal entry, or of the
+    ``largest`` one.
     """
     n = remainder.shape[0]
     units = float(n) if units is None else units
-    smallest = units * torch.finfo(remainder.dtype).eps * remainder.diagonal().movedim(-1, 0)
+    scale = remainder.diagonal().movedim(-1, 0)
+    scale = scale.amax(0, keepdim=True).expand_as(scale) if largest else scale
+    smallest = units * torch.finfo(remainder.dtype).eps * scale
     zeros, infinity = torch.zeros_like(remainder[0]), remainder.new_tensor(torch.inf)
     parts, inverse_roots = [], []
     for j, least in enumerate(smallest):

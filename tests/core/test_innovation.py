@@ -87,3 +87,13 @@ def test_no_noise_is_added_where_no_time_has_passed() -> None:
         after, _ = step(filter, filter.prepare(), before, nothing)
         after, _ = step(filter, filter.prepare(), after, nothing)
         np.testing.assert_allclose(after.covariance.numpy(), 100.0 * np.eye(4), atol=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("small", [1e-3, 3e-4, 1e-6, 1e-9, 1e-30, 0.0])
+def test_a_state_that_channels_hardly_see_is_not_moved(small: float, dtype: torch.dtype) -> None:
+    h = torch.tensor([[-small, 1.0]] * 3, dtype=dtype)
+    found = minimum_norm(h, torch.full((3,), 2.0, dtype=dtype))
+    expected = 2.0 / (1.0 + small**2) * torch.tensor([-small, 1.0], dtype=dtype)
+    tolerance = 3.0 * (100.0 * torch.finfo(dtype).eps) ** 0.5
+    assert torch.allclose(found, expected, rtol=0.0, atol=tolerance)

@@ -143,8 +143,11 @@ def _mount(place: Path, options: str) -> None:
 def whole(path: Path) -> bool:
     """Whether a file is complete, by its sort."""
     if path.is_dir():
-        return all(whole(inner) for inner in path.iterdir())
-    data = path.read_bytes()
+        return all(whole(inner) for inner in path.iterdir() if inner.name[0] != ".")
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:  # moved to its place in between
+        return True
     if path.suffix == ".json":
         try:
             json.loads(data)

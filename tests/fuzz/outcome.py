@@ -42,6 +42,12 @@ class Tally:
         self.found[key] = path
         print(f"VIOLATION {words}\n  {path}", flush=True)
 
+    def save(self) -> None:
+        """The counts so far, into ``counts.json``."""
+        self.out.mkdir(parents=True, exist_ok=True)
+        counts = {"violations": 0, **dict(sorted(self.counts.items()))}
+        (self.out / "counts.json").write_text(json.dumps(counts, indent=1) + "\n")
+
     def text(self) -> str:
         """One line for each count."""
         width = max((len(name) for name in self.counts), default=0)
