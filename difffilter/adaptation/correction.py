@@ -19,7 +19,7 @@ from difffilter.weights.weight import soft_relu
 __all__ = ["PredictionCorrection", "corrected", "excess"]
 
 #: Share of the prediction in the innovation's variance from which on an excess is all its own.
-SHARE = 0.3
+SHARE = 0.35
 #: The most that a velocity moves, in units of what the prior's own covariance would move it.
 SLOPE = 5.0
 
@@ -35,7 +35,7 @@ class PredictionCorrection(Passive):
 
     Where rows follow each other closely an excess is noise, or older than the last row. Two
     bounds, which do not bind where a row tells as much as what came before it [R]: d is
-    multiplied by min(1, (1 - R / P_zz) / 0.3)^2, the prediction's share in P_zz, and the
+    multiplied by min(1, (1 - R / P_zz) / 0.35)^2, the prediction's share in P_zz, and the
     velocity moves by no more than 5 P_vp / P_pp delta, P the predicted covariance.
 
     m counts flagged rows just before, of :class:`InnovationMatching` in a chain before it or in

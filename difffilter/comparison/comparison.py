@@ -81,7 +81,10 @@ def compare(
         simulate(scenario, trajectories, seed, "test") if log is None else as_log(scenario, log)
     )
     if held_out.truth is None:
-        raise InputError("compare: needs truth columns in the logs, found none")
+        raise InputError(
+            "compare: needs truth columns in the logs, found none; without truth, tune with the "
+            "loss likelihood, and let inspect and run tell NIS and residuals"
+        )
     if smooth and not any(unsmoothable(one.recipe) == "" for one in chosen):
         raise InputError(unsmoothable(chosen[0].recipe))
     return tabulate(

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from difffilter.errors import InputError, LogError
+from difffilter.errors import InputError, LogError, shown
 from difffilter.logs.layout import Bound, Form, Layout
 from difffilter.logs.log import Log
 from difffilter.logs.merging import dropped, merged
 from difffilter.logs.sheets import Sheet, read_sheet, sorted_sheet
 from difffilter.logs.tables import Table, read_table
 from difffilter.logs.times import Clock
+from difffilter.registry import NAME
 
 __all__ = ["Reading", "read_table_as_log", "reading"]
 
@@ -120,7 +121,7 @@ def _log(
                 f"input of {', '.join(columns)}"
             )
         columns[channel] = columns[channel] + columns[base]
-    truth = tuple(n.removeprefix("truth_") for n in columns if n.startswith("truth_"))
+    truth = _truth(columns, sheet.where)
 
     def stacked(names: Sequence[str]) -> torch.Tensor:
         return torch.from_numpy(np.stack([columns[n] for n in names], axis=-1))
@@ -136,3 +137,15 @@ def _log(
         names=(name,),
     )
     return Reading(log, Clock(layout.format, sheet.origin), sheet.told)
+
+
+def _truth(columns: Mapping[str, object], where: str) -> tuple[str, ...]:
+    """Names of the true states that a file has; they are names, since others print them."""
+    found = tuple(n.removeprefix("truth_") for n in columns if n.startswith("truth_"))
+    for name in found:
+        if not all(NAME.fullmatch(part) for part in name.split(".")):
+            raise LogError(
+                f"{where}: found column {shown(f'truth_{name}')}, expected truth_ and the name of "
+                "a state: a letter, then letters, digits, _ and -, at most 64"
+            )
+    return found

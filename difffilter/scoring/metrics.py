@@ -95,7 +95,10 @@ def scored_rows(log: Rows, track: Track, score: Score | str = "all") -> Tensor:
             no truth and never count.
     """
     if log.truth is None:
-        raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
+        raise InputError(
+            "truth: found none, expected truth_x (and truth_y, truth_z) columns; without truth, "
+            "inspect and run tell NIS and residuals"
+        )
     chosen = Score(score) if isinstance(score, str) else score
     rows = torch.isfinite(log.truth).all(-1) & torch.isfinite(track.mean).all(-1)
     time = log.time[(..., *[None] * (rows.dim() - log.time.dim()))]

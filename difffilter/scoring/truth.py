@@ -23,7 +23,10 @@ def true_states(filter: Recipe, log: Log) -> Tensor:
         InputError: no truth, or a state that it does not tell.
     """
     if log.truth is None:
-        raise InputError("truth: found none, expected truth_x (and truth_y, truth_z) columns")
+        raise InputError(
+            "truth: found none, expected truth_x (and truth_y, truth_z) columns; without truth, "
+            "inspect and run tell NIS and residuals"
+        )
     truth = dict(zip(log.truth_states, log.truth.unbind(-1), strict=True))
     for name in filter.states:
         if name not in truth:

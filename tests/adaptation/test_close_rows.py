@@ -55,3 +55,17 @@ def test_clean_data_is_followed_as_by_the_plain_filter(
 ) -> None:
     filter, time = FILTERS[name], times(kind, spacing)
     assert rmse(filter, time) < 1.2 * rmse(Filter(MOTION, filter.sensors), time)
+
+
+def test_pairs_of_rows_one_hundredth_of_a_second_apart() -> None:
+    time = torch.arange(100).double().repeat_interleave(2) * 0.5
+    time[1::2] += 0.01
+    path = torch.stack([10.0 * time, 0.0 * time], dim=-1)
+    seed = torch.Generator().manual_seed(1)
+    z = path + 2.0 * torch.randn(200, 2, generator=seed, dtype=torch.float64)
+    start = Start(tensor([0.0, 0.0, 10.0, 0.0]), 4.0 * torch.eye(4).double())
+    errors = []
+    for filter in (Filter(MOTION, ONE), FILTERS["chain"]):
+        track = run(filter, Log(filter.channels, time, z), start=start, engine="torch")
+        errors.append(float((track.mean[..., :2] - path).square().sum(-1).mean().sqrt()))
+    assert errors[1] < 1.2 * errors[0]

@@ -188,3 +188,11 @@ def test_a_batch_is_not_written_as_one_trajectory(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected one trajectory"):
         write_log(tmp_path / "log.csv", log)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("state", ["x*/", "<b>", "1x", "x y", "a" * 65])
+def test_a_true_state_has_a_name(state: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(GOOD.replace("truth_x", f"truth_{state}"))
+    with pytest.raises(LogError, match="expected truth_ and the name of a state"):
+        read_log(path, CHANNELS)
