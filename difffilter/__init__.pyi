@@ -127,6 +127,8 @@ from difffilter.scoring.metrics import position_error as position_error
 from difffilter.scoring.metrics import rejected as rejected
 from difffilter.scoring.metrics import rmse as rmse
 from difffilter.scoring.metrics import scored_rows as scored_rows
+from difffilter.scoring.metrics import squared_error as squared_error
+from difffilter.scoring.metrics import state_rmse as state_rmse
 from difffilter.sensors.builtin import TDOA as TDOA
 from difffilter.sensors.builtin import Bearing as Bearing
 from difffilter.sensors.builtin import Position as Position

@@ -21,6 +21,9 @@ class Registry(Mapping[str, T], Generic[T]):
 
     Args:
         kind: what an entry is, for messages: ``weight``, ``sensor``.
+        family: makes the entry of a name that nobody registered, or None if it is none either;
+            such names are entries like the others, but are not listed.
+        called: the family's names in words, for messages.
 
     Example:
         >>> colours: Registry[int] = Registry("colour")
@@ -30,8 +33,10 @@ class Registry(Mapping[str, T], Generic[T]):
         ['red']
     """
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(
+        self, kind: str, family: Callable[[str], T | None] | None = None, called: str = ""
+    ) -> None:
+        self.kind, self.family, self.called = kind, family, called
         self._entries: dict[str, T] = {}
 
     def add(self, name: str, entry: T) -> T:
@@ -56,20 +61,25 @@ class Registry(Mapping[str, T], Generic[T]):
         return entry
 
     def __getitem__(self, name: str) -> T:
-        try:
-            return self._entries[name]
-        except KeyError:
-            expected = ", ".join(self._entries)
-            raise InputError(
-                f"{self.kind}: found {shown(name)}, expected one of {expected}"
-            ) from None
+        found = self.get(name)
+        if found is None:
+            raise InputError(f"{self.kind}: found {shown(name)}, expected one of {self.names}")
+        return found
+
+    @property
+    def names(self) -> str:
+        """Every name in words, for messages."""
+        return ", ".join([*self._entries, *([self.called] if self.called else [])])
 
     def __contains__(self, name: object) -> bool:
-        return name in self._entries
+        return isinstance(name, str) and self.get(name) is not None
 
     def get(self, name: str, default: T | None = None) -> T | None:  # type: ignore[override]
         """The entry, or the default."""
-        return self._entries.get(name, default)
+        found = self._entries.get(name)
+        if found is None and self.family is not None:
+            found = self.family(name)
+        return default if found is None else found
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._entries)

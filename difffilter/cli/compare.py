@@ -61,6 +61,9 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--smooth", action="store_true", help="a smoothed row beside each system that has one"
     )
+    parser.add_argument(
+        "--states", action="store_true", help="a second table: the RMSE of each true state"
+    )
     parser.add_argument("--out", metavar="FILE", help="write it too: .json or .md")
     parser.add_engine()
     parser.add_json()
@@ -87,8 +90,9 @@ def command(args: Namespace) -> int:
         "progress": shows_progress(args),
         "engine": args.engine,
     }
-    if args.worlds and args.smooth:
-        raise InputError("--smooth: found beside --worlds, expected one of them")
+    for option in ("smooth", "states"):
+        if args.worlds and getattr(args, option):
+            raise InputError(f"--{option}: found beside --worlds, expected one of them")
     if args.worlds:
         return _worlds(args, scenario, values, options)
 
@@ -100,6 +104,8 @@ def command(args: Namespace) -> int:
                 note(f"{name}: no smoothed row: {reason}")
     comparison = compare(scenario, values, systems=systems, smooth=args.smooth, **options)
     as_json, text = json_text(comparison.as_dict()), comparison_text(comparison, scenario)
+    if args.states:
+        text += f"\nRMSE of each state, in its own unit:\n\n{comparison.states_markdown()}"
     if args.out:
         write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
     if args.json:

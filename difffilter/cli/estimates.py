@@ -9,12 +9,22 @@ from typing import Any, BinaryIO
 import torch
 from torch import Tensor
 
+from difffilter.errors import InputError
 from difffilter.files import write_atomically
 from difffilter.logs.log import Log
 from difffilter.logs.times import FORMATS, Clock
 from difffilter.logs.track import Track
 from difffilter.logs.writing import Columns, parts_for
-from difffilter.scoring.metrics import REJECTED, Score, position_error, scored_rows
+from difffilter.scoring.differences import (
+    Score,
+    difference,
+    known_states,
+    scored_rows,
+    scored_states,
+    scored_unit,
+    squared_error,
+)
+from difffilter.scoring.metrics import REJECTED
 
 __all__ = ["Tally", "columns", "write_estimates"]
 
@@ -30,6 +40,9 @@ class Tally:
         self.log, self.score = log, score
         self.rows = self.scored = 0
         self.squared = 0.0
+        self.by_state: dict[str, float] = {}
+        self.states: list[str] = []
+        self.what, self.unit = "position", "m"
         self.low: dict[str, int] = {}
         self.present: dict[str, int] = {}
         self.isolated: dict[str, int] = {}
@@ -38,11 +51,14 @@ class Tally:
         """Count the next window: a trajectory in a batch of its own."""
         log = self.log.rows(self.rows, self.rows + len(track.mean))
         self.rows += log.steps
-        positions = {name for name in track.states if not name.startswith("v")}
-        if log.truth is not None and positions <= set(log.truth_states):
+        known = known_states(log, track)
+        if log.truth is not None and known:
             rows = scored_rows(log, track, self.score)
             self.scored += int(rows.sum())
-            self.squared += float(position_error(log, track)[rows].sum())
+            apart = difference(log, track, known)[rows].square().sum(0).tolist()
+            for name, squared in zip(known, apart, strict=True):
+                self.by_state[name] = self.by_state.get(name, 0.0) + squared
+            self._score(log, track, rows)
         for i, name in enumerate(track.channels):
             self.low.setdefault(name, 0)
             self.present.setdefault(name, 0)
@@ -54,14 +70,30 @@ class Tally:
                 left_out = int(track.record.isolated[..., i].sum())
                 self.isolated[name] = self.isolated.get(name, 0) + left_out
 
+    def _score(self, log: Log, track: Track, rows: Tensor) -> None:
+        """Add the squared error of the scored states, if their truth is known."""
+        try:
+            self.states = scored_states(log, track, self.score)
+        except InputError:
+            if isinstance(self.score, Score) and self.score.states:
+                raise  # asked for by name
+            return
+        self.squared += float(squared_error(log, track, self.score)[rows].sum())
+        if any(track.kind(name) != "position" for name in self.states):
+            self.what = ", ".join(self.states)
+            self.unit = scored_unit(log, track, self.score)
+
     def summary(self) -> dict[str, Any]:
-        """Number of rows, position RMSE (None without its truth), share rejected per channel."""
-        error = math.sqrt(self.squared / self.scored) if self.scored else math.nan
+        """Number of rows, RMSE (None without its truth), by state too, and what was rejected."""
+        counted = self.scored if self.states else 0
+        error = math.sqrt(self.squared / counted) if counted else math.nan
+        by_state = {n: math.sqrt(s / self.scored) for n, s in self.by_state.items() if self.scored}
         left_out = {n: count / self.rows for n, count in self.isolated.items() if count}
         return {
             "rows": self.rows,
             "rmse": error if math.isfinite(error) else None,
             "rejected": {n: count / max(self.present[n], 1) for n, count in self.low.items()},
+            **({"states": by_state} if by_state else {}),
             **({"isolated": left_out} if left_out else {}),
         }
 

@@ -24,6 +24,7 @@ from difffilter.errors import InputError, shown
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from difffilter.cli.estimates import Tally
     from difffilter.logs.log import Log
     from difffilter.logs.times import Clock
     from difffilter.logs.track import Track
@@ -151,7 +152,7 @@ def command(args: Namespace) -> int:
     if args.json:
         print_json({**result, **about, "out": args.out})
     else:
-        told = _text(result, log.truth is not None)
+        told = _text(result, log.truth is not None, tally)
         say(f"{job.scenario.name}, {job.system}, values {job.label}: {told}")
         say(f"estimates written to {args.out}")
     return 0
@@ -248,18 +249,22 @@ def _plot(path: str, log: Log, track: Track, title: str, later: Track | None) ->
     save_figure(track_figure(log, track, title=title, smoothed=later), path)
 
 
-def _text(result: dict[str, Any], truth: bool) -> str:
+def _text(result: dict[str, Any], truth: bool, tally: Tally) -> str:
     parts = [f"{result['rows']} row{'s' * (result['rows'] != 1)}"]
     if result["rmse"] is None:
         missing = "no row with truth that counts" if truth else "no truth"
         parts.append(f"{missing}, so no RMSE")
     else:
-        parts.append(f"position RMSE {result['rmse']:.4g} m")
+        parts.append(f"{tally.what} RMSE {result['rmse']:.4g} {tally.unit}".rstrip())
         if result.get("smoothed_rmse") is not None:
-            parts.append(f"smoothed {result['smoothed_rmse']:.4g} m")
+            parts.append(f"smoothed {result['smoothed_rmse']:.4g} {tally.unit}".rstrip())
     for name, share in result.get("isolated", {}).items():
         parts.append(f"{name} isolated as not finite in {100 * share:.1f} % of rows")
     from difffilter.scoring.metrics import REJECTED
 
     shares = [f"{name} {100 * share:.1f} %" for name, share in result["rejected"].items()]
+    more = {n: error for n, error in result.get("states", {}).items() if n not in tally.states}
+    if more:
+        each = ", ".join(f"{name} {error:.4g}" for name, error in more.items())
+        parts[-1] += f"\nRMSE of other states: {each}"
     return f"{', '.join(parts)}\nrejected (weight below {REJECTED:g}): {', '.join(shares)}"

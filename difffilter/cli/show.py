@@ -34,6 +34,7 @@ WORLD = (
     "worlds",
     "scenes",
     "score",
+    "score_states",
 )
 
 

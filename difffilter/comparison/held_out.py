@@ -19,7 +19,7 @@ from difffilter.running.batch import run
 from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import estimate, started
 from difffilter.scoring.directions import mean_directions
-from difffilter.scoring.metrics import mean_nees, paired_ratio, position_error, scored_rows
+from difffilter.scoring.metrics import mean_nees, paired_ratio, scored_rows, squared_error
 
 __all__ = ["HeldOut", "Outcome"]
 
@@ -96,7 +96,7 @@ class HeldOut:
                 self.filter, ready, values, temperature=self.temperature, engine=self.chosen
             )
         rows = scored_rows(self.log, track, self.scenario.score)
-        squared = position_error(self.log, track)
+        squared = squared_error(self.log, track, self.scenario.score)
         error = float(squared[rows].mean().sqrt())
         nees = float(mean_nees(self.log, track, rows))
         return Outcome(track, squared, rows, error, nees, mean_directions(self.log, track, rows))

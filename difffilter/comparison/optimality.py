@@ -21,7 +21,7 @@ from difffilter.logs.log import Log
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.estimation import estimate, lean, started
 from difffilter.scenario.scenario import Scenario
-from difffilter.scoring.metrics import bootstrap_indices, position_error, scored_rows
+from difffilter.scoring.metrics import bootstrap_indices, scored_rows, squared_error
 
 __all__ = ["FSP", "RatioGain", "fsp", "fsp_surface", "ratio_gain"]
 
@@ -69,7 +69,7 @@ def fsp(
         chosen = lean(chosen, log.only(chosen.channels))
     track = estimate(chosen, started(scenario, chosen, log, values), values)
     rows = scored_rows(log, track, scenario.score)
-    squared = torch.where(rows, position_error(log, track), 0.0)
+    squared = torch.where(rows, squared_error(log, track, scenario.score), 0.0)
     scenes = [(scene.name, scene.first, scene.last) for scene in scenario.scenes]
     scenes = scenes or [("all", 1, log.steps)]
     made = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import torch
@@ -13,15 +13,17 @@ from difffilter.errors import InputError, digits
 from difffilter.escape import markdown_table
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
+from difffilter.scoring.differences import scored_states, scored_unit
 from difffilter.scoring.metrics import (
     Score,
     bootstrap_interval,
     mean_nees,
     nis_per_channel,
     paired_ratio,
-    position_error,
     rejected,
     scored_rows,
+    squared_error,
+    state_rmse,
 )
 
 __all__ = ["Comparison", "Row", "Scene", "tabulate"]
@@ -44,14 +46,16 @@ class Row:
 
     Attributes:
         system, values: names of both.
-        rmse: position RMSE in m over scored rows; ci95: bootstrap interval over trajectories.
-        median: median over trajectories of their own RMSE, m (outliers of a run that lost
+        rmse: RMSE over scored rows of the states that the comparison scores, of the position in
+            m; ci95: bootstrap interval over trajectories.
+        median: median over trajectories of their own RMSE (outliers of a run that lost
             track do not move it).
         ratio: RMSE divided by the reference row's, with its paired interval.
         nees_per_state: mean NEES over the true states that the system estimates; 1 expected.
         nis_per_channel: mean nominal NIS per present channel; 1 expected; None for baselines.
         estimated: share of rows with an estimate.
         per_scene: RMSE per scene, where the scenario has scenes.
+        per_state: RMSE of each true state that is estimated, by name, in its own unit.
         rejected: share of each channel's rejected measurements, of a weight below ``REJECTED``.
     """
 
@@ -67,12 +71,14 @@ class Row:
     estimated: float
     per_scene: Mapping[str, float]
     rejected: Mapping[str, float]
+    per_state: Mapping[str, float] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         data = dict(vars(self))
-        if not self.per_scene:
-            del data["per_scene"]
+        for name in ("per_scene", "per_state"):
+            if not data[name]:
+                del data[name]
         return data
 
 
@@ -84,6 +90,8 @@ class Comparison:
         scenario: name; trajectories: how many; seed: of simulated ones, None for logs.
         reference: label of the row that ratios are relative to.
         rows: one for each system and set of values.
+        states: names of the states whose error is scored; unit: of that error, empty for
+            states of several units.
     """
 
     scenario: str
@@ -91,6 +99,8 @@ class Comparison:
     seed: int | None
     reference: str
     rows: tuple[Row, ...]
+    states: tuple[str, ...] = ()
+    unit: str = "m"
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -110,8 +120,9 @@ class Comparison:
     def cells(self) -> tuple[list[str], list[list[str]]]:
         """Head and rows of the table, as they are shown."""
         scenes = list(self.rows[0].per_scene) if self.rows else []
+        unit = f" ({self.unit})" if self.unit else ""
         head = [
-            "system", "values", "RMSE (m)", "95 % interval", "median run (m)",
+            "system", "values", f"RMSE{unit}", "95 % interval", f"median run{unit}",
             f"ratio to {self.reference}", "NEES per state", "NIS per channel", *scenes,
         ]  # fmt: skip
         rows = []
@@ -132,6 +143,19 @@ class Comparison:
             ]
             rows.append(cells)
         return head, rows
+
+    def states_markdown(self) -> str:
+        """The RMSE of each true state, in its own unit, as a Markdown table."""
+        names = dict.fromkeys(name for row in self.rows for name in row.per_state)
+        cells = [
+            [row.system, row.values, *(_digits(row.per_state.get(name)) for name in names)]
+            for row in self.rows
+        ]
+        return "\n".join(markdown_table(["system", "values", *names], cells)) + "\n"
+
+
+def _digits(value: float | None) -> str:
+    return "" if value is None else digits(value)
 
 
 def tabulate(
@@ -158,36 +182,64 @@ def tabulate(
     common = rows.all(0)
     if not bool(common.any()):
         raise InputError(f"compare: {_why_none(log, tracks, rows, score)}")
-    squared = {key: position_error(log, track) for key, track in tracks.items()}
+    squared = {key: squared_error(log, track, score) for key, track in tracks.items()}
     reference = wanted if wanted in tracks else next(iter(tracks))
     scorable = scored_rows(log, tracks[reference], score).sum()
-    made = []
-    for at, (key, track) in enumerate(tracks.items()):
-        ratio, *interval = paired_ratio(squared[key], squared[reference], common)
-        nis = float(nis_per_channel(track))
-        made.append(
-            Row(
-                *key,
-                rmse=_root_mean(squared[key], common),
-                ci95=bootstrap_interval(squared[key], common),
-                median=_median_run(squared[key], common),
-                ratio=ratio,
-                ratio_ci95=(interval[0], interval[1]),
-                nees_per_state=float(mean_nees(log, track, common)),
-                nis_per_channel=nis if nis == nis else None,
-                estimated=float(rows[at].sum() / scorable),
-                per_scene={
-                    scene.name: _root_mean(
-                        squared[key][scene.first - 1 : scene.last],
-                        common[scene.first - 1 : scene.last],
-                    )
-                    for scene in scenes
-                },
-                rejected=rejected(track),
-            )
+    made = [
+        _row(
+            key,
+            log,
+            track,
+            squared=squared[key],
+            reference=squared[reference],
+            rows=common,
+            estimated=float(rows[at].sum() / scorable),
+            scenes=scenes,
         )
+        for at, (key, track) in enumerate(tracks.items())
+    ]
     label = f"{reference[0]} {reference[1]}"
-    return Comparison(name, log.trajectories, seed, label, tuple(made))
+    states = scored_states(log, tracks[reference], score)
+    return Comparison(
+        scenario=name,
+        trajectories=log.trajectories,
+        seed=seed,
+        reference=label,
+        rows=tuple(made),
+        states=tuple(states),
+        unit=scored_unit(log, tracks[reference], score),
+    )
+
+
+def _row(
+    key: tuple[str, str],
+    log: Log,
+    track: Track,
+    *,
+    squared: Tensor,
+    reference: Tensor,
+    rows: Tensor,
+    estimated: float,
+    scenes: Sequence[Scene],
+) -> Row:
+    """One system's row: squared errors (T, B), its own and the reference's, over ``rows``."""
+    ratio, *interval = paired_ratio(squared, reference, rows)
+    nis = float(nis_per_channel(track))
+    parts = {scene.name: slice(scene.first - 1, scene.last) for scene in scenes}
+    return Row(
+        *key,
+        rmse=_root_mean(squared, rows),
+        ci95=bootstrap_interval(squared, rows),
+        median=_median_run(squared, rows),
+        ratio=ratio,
+        ratio_ci95=(interval[0], interval[1]),
+        nees_per_state=float(mean_nees(log, track, rows)),
+        nis_per_channel=nis if nis == nis else None,
+        estimated=estimated,
+        per_scene={name: _root_mean(squared[part], rows[part]) for name, part in parts.items()},
+        rejected=rejected(track),
+        per_state=state_rmse(log, track, rows),
+    )
 
 
 def _why_none(

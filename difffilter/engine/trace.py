@@ -16,7 +16,6 @@ from difffilter.engine.program import Program
 from difffilter.errors import EngineError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Rows
-from difffilter.logs.track import Track
 from difffilter.parameters.values import Constants
 from difffilter.scoring.losses import LOSSES, LossContext
 
@@ -211,14 +210,8 @@ def _objective(
     rows = Rows(
         filter.channels, time, measurement.z.unsqueeze(0), truth, objective.truth_states, inputs
     )
-    track = Track(
-        filter.states,
-        filter.channels,
-        time,
-        after.mean.unsqueeze(0),
-        after.deviations.unsqueeze(0),
-        Record(*(x.unsqueeze(0) for x in record)),
-    )
+    taken = Record(*(x.unsqueeze(0) for x in record))
+    track = filter.track(time, after.mean.unsqueeze(0), after.deviations.unsqueeze(0), taken)
     losses = [LOSSES[name] for name in objective.losses]
     sums = [loss.rows(track, rows, objective.context).squeeze(0) for loss in losses]
     residuals = [

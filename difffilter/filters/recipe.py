@@ -13,6 +13,7 @@ from torch import Tensor
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.errors import InputError
 from difffilter.filters.declared import Composed, Declared, Part
+from difffilter.logs.track import Track
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import (
@@ -64,6 +65,28 @@ class Recipe(Declared):
     def mode_names(self) -> tuple[str, ...]:
         """Of a mixture; none for all else."""
         return ()
+
+    def track(
+        self,
+        time: Tensor,
+        mean: Tensor,
+        deviations: Tensor,
+        record: Record | None = None,
+        final: Belief | None = None,
+    ) -> Track:
+        """Estimates of this recipe over time, with the names that they need."""
+        return Track(
+            states=self.states,
+            channels=self.channels,
+            time=time,
+            mean=mean,
+            deviations=deviations,
+            record=record,
+            final=final,
+            modes=self.mode_names,
+            kinds=self.kinds,
+            error_states=self.error_states,
+        )
 
     @property
     def centralised(self) -> Recipe:

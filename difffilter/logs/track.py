@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Record
 from difffilter.errors import InputError, shown
+from difffilter.logs.states import kinds_by_name
 
 __all__ = ["Track"]
 
@@ -22,8 +23,11 @@ class Track:
         time: (T,) or (T, ...).
         mean: (T, ..., n); deviations: (T, ..., n, k), P = X X^T.
         record: the steps' records stacked along time; None for estimators without one.
-        modes: names of a mixture's modes, see ``record.modes``; none for all else.
         final: belief after the last row; None for estimators without one.
+        modes: names of a mixture's modes, see ``record.modes``; none for all else.
+        kinds: what each state is, one of :data:`difffilter.logs.states.KINDS`; by its name
+            (x, vx) where it is not given.
+        error_states: names of the rows of the deviations; none for the states themselves.
     """
 
     states: tuple[str, ...]
@@ -34,6 +38,16 @@ class Track:
     record: Record | None = None
     final: Belief | None = None
     modes: tuple[str, ...] = ()
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    error_states: tuple[str, ...] = ()
+
+    def kind(self, name: str) -> str:
+        """What a state is: ``position``, ``velocity``, ``angle`` or ``other``."""
+        return self.kinds.get(name) or kinds_by_name([name])[name]
+
+    def rows(self, names: Sequence[str]) -> list[int]:
+        """Index of each named state among the rows of the deviations."""
+        return _places(names, self.error_states or self.states)
 
     @property
     def covariance(self) -> Tensor:
@@ -47,9 +61,11 @@ class Track:
 
     def named(self, names: Sequence[str]) -> list[int]:
         """Index of each named state."""
-        missing = [name for name in names if name not in self.states]
-        if missing:
-            raise InputError(
-                f"state: found {shown(missing[0])}, expected one of {', '.join(self.states)}"
-            )
-        return [self.states.index(name) for name in names]
+        return _places(names, self.states)
+
+
+def _places(names: Sequence[str], among: tuple[str, ...]) -> list[int]:
+    missing = [name for name in names if name not in among]
+    if missing:
+        raise InputError(f"state: found {shown(missing[0])}, expected one of {', '.join(among)}")
+    return [among.index(name) for name in names]

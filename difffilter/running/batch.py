@@ -75,9 +75,7 @@ def run(
         from difffilter.engine.fused import Job, forward
 
         job = Job(filter, constants, log, current, intervals)
-        return Track(
-            filter.states, filter.channels, log.time, *forward(job), modes=filter.mode_names
-        )
+        return filter.track(log.time, *forward(job))
 
     def plain() -> Track:
         return eager(filter, constants, log, current, intervals, progress)
@@ -148,16 +146,8 @@ def eager(
         means.append(current.mean)
         deviations.append(current.deviations)
         records.append(record)
-    return Track(
-        states=filter.states,
-        channels=filter.channels,
-        time=log.time,
-        mean=torch.stack(means),
-        deviations=torch.stack(deviations),
-        record=Record(*(torch.stack(field) for field in zip(*records, strict=True))),
-        final=current,
-        modes=filter.mode_names,
-    )
+    record = Record(*(torch.stack(field) for field in zip(*records, strict=True)))
+    return filter.track(log.time, torch.stack(means), torch.stack(deviations), record, current)
 
 
 def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:

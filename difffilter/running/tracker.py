@@ -247,9 +247,7 @@ class Tracker:
         job = Job(recipe, self._constants, log, current, interval)
         found = tried(self._engine, lambda: forward(job))
         if found is not None:
-            return Track(
-                recipe.states, recipe.channels, log.time, *found[0], modes=recipe.mode_names
-            )
+            return recipe.track(log.time, *found[0])
         return eager(recipe, self._constants, log, current, interval)
 
     def _streamed(

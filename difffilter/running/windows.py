@@ -57,9 +57,7 @@ def run_windows(
 
                 try:
                     found = forward(Job(filter, constants, part, current, dt))
-                    track = Track(
-                        filter.states, filter.channels, part.time, *found, modes=filter.mode_names
-                    )
+                    track = filter.track(part.time, *found)
                 except EngineError as error:
                     if chosen == "fused":
                         raise

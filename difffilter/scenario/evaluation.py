@@ -35,7 +35,7 @@ def read_score(top: Table) -> Score:
     first, last = top.numbers("score_times", 2, (-math.inf, math.inf))
     if last < first:
         top.fail("score_times", "[first, last] with first <= last")
-    return Score(rows, first, last)
+    return Score(rows, first, last, top.names("score_states", ()))
 
 
 def read_scene(table: Table) -> Scene:

@@ -106,7 +106,7 @@ class Model:
             "states": list(self.recipe.states),
             "channels": list(self.recipe.channels),
             "inputs": list(self.inputs),
-            "score": [self.score.rows, *_bounds(self.score)],
+            "score": [self.score.rows, *_bounds(self.score), *self.score.states],
             "tuning": json.loads(json.dumps(asdict(self.tuning))),
         }
 

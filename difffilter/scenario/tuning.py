@@ -17,7 +17,7 @@ def read_tuning(table: Table, systems: Sequence[str]) -> TuneSettings:
     losses = table.table("loss", optional=True)
     for name in losses.data:
         if name not in LOSSES:
-            losses.fail(name, f"a loss among {', '.join(LOSSES)}")
+            losses.fail(name, f"a loss among {LOSSES.names}")
     weights = {name: losses.number(name, low=0.0) for name in losses.data}
     loss = {name: weight for name, weight in weights.items() if weight}
     if weights and not loss:

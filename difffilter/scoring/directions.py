@@ -12,8 +12,7 @@ from torch import Tensor
 
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
-from difffilter.motions.blocks import AXES
-from difffilter.scoring.metrics import difference
+from difffilter.scoring.differences import difference, known_states
 
 __all__ = ["mean_directions", "nees_directions"]
 
@@ -42,7 +41,7 @@ def nees_directions(log: Rows, track: Track) -> dict[str, Tensor]:
     found: dict[str, Tensor] = {}
     for name, states in _blocks(log, track).items():
         error = difference(log, track, states).detach()
-        deviations = track.deviations[..., track.named(states), :].detach()
+        deviations = track.deviations[..., track.rows(states), :].detach()
         covariance = deviations @ deviations.mT
         known = torch.isfinite(covariance).all(-1).all(-1)[..., None, None]
         identity = torch.eye(len(states), dtype=covariance.dtype)
@@ -89,9 +88,11 @@ def _principal(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
 def _blocks(log: Rows, track: Track) -> dict[str, list[str]]:
     """States of one unit, that the truth tells and the track estimates."""
-    both = [name for name in track.states if name in log.truth_states]
-    position = [name for name in both if name in AXES]
-    velocity = [name for name in both if name in {f"v{axis}" for axis in AXES}]
+    errors = track.error_states or track.states
+    both = [name for name in known_states(log, track) if name in errors]
+    position = [name for name in both if track.kind(name) == "position"]
+    velocity = [name for name in both if track.kind(name) == "velocity"]
     blocks = {"position": position, "velocity": velocity}
-    blocks |= {name: [name] for name in both if name not in (*position, *velocity)}
-    return {name: states for name, states in blocks.items() if states}
+    blocks = {name: states for name, states in blocks.items() if len(states) in SIZES}
+    together = [name for states in blocks.values() for name in states]
+    return blocks | {name: [name] for name in both if name not in together}

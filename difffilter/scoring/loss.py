@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
-from difffilter.registry import Registry
-from difffilter.scoring.metrics import Score, scored_rows
+from difffilter.registry import NAME, Registry
+from difffilter.scoring.differences import Score, scored_difference, scored_rows
 
 __all__ = ["LOSSES", "Added", "Loss", "LossContext", "log_mean", "loss", "mean", "with_scenes"]
 
@@ -75,8 +76,31 @@ class Loss:
         return self.value(added.flatten(0, -2).sum(0))
 
 
-#: Every loss by name.
-LOSSES: Registry[Loss] = Registry("loss")
+@lru_cache(maxsize=64)
+def _of_state(name: str) -> Loss | None:
+    """The loss ``error-STATE``; None for another name."""
+    state = name.removeprefix(ERROR)
+    if state == name or not NAME.fullmatch(state):
+        return None
+
+    def error(track: Track, log: Rows, context: LossContext) -> Tensor:
+        rows = scored_rows(log, track, context.score).unsqueeze(-1)
+        alone = Score(states=(state,))
+        return torch.where(rows, scored_difference(log, track, alone), 0.0)
+
+    return Loss(
+        rows=_of_squares(error, needs_truth=True),
+        value=log_mean,
+        needs_truth=True,
+        meaning=f"log of the mean squared error of {state}",
+        residuals=error,
+    )
+
+
+#: Names of the losses of one state's error: this before its name.
+ERROR = "error-"
+#: Every loss by name; ``error-STATE`` is one for every state.
+LOSSES: Registry[Loss] = Registry("loss", family=_of_state, called=f"{ERROR}STATE")
 
 
 def with_scenes(log: Rows, context: LossContext) -> Rows:

@@ -11,6 +11,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
+from difffilter.scoring.differences import scored_difference, scored_rows
 from difffilter.scoring.loss import (
     LOSSES,
     MEMBERS,
@@ -20,7 +21,7 @@ from difffilter.scoring.loss import (
     mean,
     with_scenes,
 )
-from difffilter.scoring.metrics import nees, nees_states, position_difference, scored_rows
+from difffilter.scoring.metrics import nees, nees_states
 
 __all__ = [
     "LOSSES",
@@ -55,10 +56,15 @@ def _departure(ratio: Tensor) -> Tensor:
     return (1.0 + ratio.log().square()).sqrt() - 1.0
 
 
-@loss("position", squares=True, needs_truth=True, meaning="log of the mean squared position error")
+@loss(
+    "position",
+    squares=True,
+    needs_truth=True,
+    meaning="log of the mean squared position error (of the scored states, where they are others)",
+)
 def _scored_difference(track: Track, log: Rows, context: LossContext) -> Tensor:
     rows = scored_rows(log, track, context.score).unsqueeze(-1)
-    return torch.where(rows, position_difference(log, track), 0.0)
+    return torch.where(rows, scored_difference(log, track, context.score), 0.0)
 
 
 @loss("likelihood", meaning="robust negative log-likelihood of innovations")

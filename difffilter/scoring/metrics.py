@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
-from difffilter.errors import InputError
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
-from difffilter.motions.blocks import AXES
+from difffilter.scoring.differences import (
+    SCORES,
+    Score,
+    difference,
+    known_states,
+    position_difference,
+    position_error,
+    scored_rows,
+    scored_states,
+    squared_error,
+)
 from difffilter.seeds import stream
 
 __all__ = [
@@ -32,92 +38,36 @@ __all__ = [
     "rejected",
     "rmse",
     "scored_rows",
+    "squared_error",
+    "state_rmse",
 ]
 
 
-SCORES = ("all", "measured")
 #: Trajectories below which intervals come from blocks of rows.
 FEW = 20
 #: A measurement with a weight below it counts as rejected.
 REJECTED = 0.1
 
 
-@dataclass(frozen=True)
-class Score:
-    """Which rows of a log count.
-
-    Attributes:
-        rows: ``all``, or those ``measured`` by at least one channel.
-        first, last: s, times of the log between which rows count, both included.
-    """
-
-    rows: str = "all"
-    first: float = -math.inf
-    last: float = math.inf
-
-
-def _position_states(log: Rows, track: Track) -> list[str]:
-    names = [name for name in track.states if name in AXES]
-    missing = [name for name in names if name not in log.truth_states]
-    if log.truth is None or not names or missing:
-        found = ", ".join(f"truth_{name}" for name in log.truth_states) or "none"
-        expected = " and ".join(f"truth_{name}" for name in names or AXES)
-        raise InputError(f"truth: found {found}, expected {expected}")
-    return names
-
-
-def position_difference(log: Rows, track: Track) -> Tensor:
-    """(T, ..., axes), estimated minus true position, m; 0 where either is missing."""
-    return difference(log, track, _position_states(log, track))
-
-
-def difference(log: Rows, track: Track, names: list[str]) -> Tensor:
-    """Estimate minus truth; 0 where either is missing, so that no NaN enters a gradient."""
-    assert log.truth is not None
-    truth = log.truth[..., [log.truth_states.index(name) for name in names]]
-    mean = track.mean[..., track.named(names)]
-    return torch.where(torch.isfinite(truth) & torch.isfinite(mean), mean - truth.nan_to_num(), 0.0)
-
-
-def position_error(log: Rows, track: Track) -> Tensor:
-    """(T, ...), squared distance of the estimated to the true position, m^2.
-
-    0 where there is no truth or no estimate: sum over :func:`scored_rows` only.
-    """
-    return position_difference(log, track).square().sum(-1)
-
-
-def scored_rows(log: Rows, track: Track, score: Score | str = "all") -> Tensor:
-    """(T, ...), rows that count: those with truth and an estimate, as ``score`` says.
-
-    Args:
-        score: a :class:`Score`, or its ``rows`` alone. Rows that only pad a shorter log have
-            no truth and never count.
-    """
-    if log.truth is None:
-        raise InputError(
-            "truth: found none, expected truth_x (and truth_y, truth_z) columns; without truth, "
-            "inspect and run tell NIS and residuals"
-        )
-    chosen = Score(score) if isinstance(score, str) else score
-    rows = torch.isfinite(log.truth).all(-1) & torch.isfinite(track.mean).all(-1)
-    time = log.time[(..., *[None] * (rows.dim() - log.time.dim()))]
-    rows = rows & (time >= chosen.first) & (time <= chosen.last)
-    return rows & log.measured if chosen.rows == "measured" else rows
-
-
 def rmse(log: Rows, track: Track, score: Score | str = "all") -> Tensor:
-    """Position root mean square error over scored rows of all trajectories: scalar, m.
+    """Root mean square error of the scored states, of all trajectories: scalar; m of a position.
 
     Args:
         log: with truth (T, ..., q); track: estimates of its rows.
-        score: which rows count, as for :func:`scored_rows`.
+        score: which rows count, and which states (the position), see :class:`Score`.
 
     Raises:
         InputError: no truth.
     """
     rows = scored_rows(log, track, score)
-    return position_error(log, track)[rows].mean().sqrt()
+    return squared_error(log, track, score)[rows].mean().sqrt()
+
+
+def state_rmse(log: Rows, track: Track, rows: Tensor) -> dict[str, float]:
+    """RMSE of each true state that is estimated, in its own unit, over ``rows`` (T, ...)."""
+    names = known_states(log, track)
+    apart = difference(log, track, names)[rows]
+    return dict(zip(names, apart.square().mean(0).sqrt().tolist(), strict=True))
 
 
 def nees(log: Rows, track: Track, per_position: bool = False) -> Tensor:
@@ -133,13 +83,9 @@ def nees(log: Rows, track: Track, per_position: bool = False) -> Tensor:
     Raises:
         InputError: no truth.
     """
-    names = (
-        _position_states(log, track)
-        if per_position
-        else [name for name in log.truth_states if name in track.states]
-    )
+    names = _nees_names(log, track, per_position)
     error = difference(log, track, names)
-    deviations = track.deviations[..., track.named(names), :]
+    deviations = track.deviations[..., track.rows(names), :]
     covariance = deviations @ deviations.mT
     # Where there is no estimate (NaN rows, never scored) any regular matrix will do.
     known = torch.isfinite(covariance).all(-1).all(-1)[..., None, None]
@@ -163,9 +109,14 @@ def mean_nees(log: Rows, track: Track, rows: Tensor) -> Tensor:
 
 def nees_states(log: Rows, track: Track, per_position: bool = False) -> int:
     """Number of states that :func:`nees` covers."""
+    return len(_nees_names(log, track, per_position))
+
+
+def _nees_names(log: Rows, track: Track, per_position: bool) -> list[str]:
     if per_position:
-        return len(_position_states(log, track))
-    return len([name for name in log.truth_states if name in track.states])
+        return [name for name in scored_states(log, track) if track.kind(name) == "position"]
+    errors = track.error_states or track.states
+    return [n for n in log.truth_states if n in track.states and n in errors]
 
 
 def nis_per_channel(track: Track) -> Tensor:

@@ -14,7 +14,7 @@ from difffilter.parameters.parameters import Values
 from difffilter.parameters.values import Constants
 from difffilter.sensors.bearing import Bearing
 from difffilter.sensors.sensor import Sensor
-from difffilter.start.parts import Recipe, part_of
+from difffilter.start.parts import Startable, part_of
 from difffilter.start.rows import flatten
 
 __all__ = ["Lines", "crossing", "from_bearings", "lines", "the_bearing"]
@@ -86,7 +86,7 @@ def crossing(normal: Tensor, right: Tensor) -> Tensor:
 
 @torch.no_grad()
 def from_bearings(
-    recipe: Recipe,
+    recipe: Startable,
     log: Log,
     velocity: Sequence[float],
     values: Values | None = None,

@@ -30,7 +30,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
-from difffilter.start.parts import Part, Recipe, part_of
+from difffilter.start.parts import Part, Startable, part_of
 from difffilter.start.rows import flatten
 from difffilter.start.waiting import Fitted, Fitter
 
@@ -39,7 +39,7 @@ __all__ = ["from_measurements"]
 
 @torch.no_grad()
 def from_measurements(
-    recipe: Recipe,
+    recipe: Startable,
     log: Log,
     values: Values | None = None,
     rows: int = 10,
@@ -100,7 +100,7 @@ def from_measurements(
     return Start(mean, None if covariance is None else covariance.reshape(*mean.shape, -1))
 
 
-def _check(recipe: Recipe, log: Log, rows: int, span: float) -> None:
+def _check(recipe: Startable, log: Log, rows: int, span: float) -> None:
     """InputError if the log is of other channels, or rows and span are none."""
     if log.channels != recipe.channels:
         raise InputError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import torch
@@ -14,15 +14,19 @@ from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import Position
 from difffilter.sensors.sensor import Sensor
 
-__all__ = ["Part", "Recipe", "needed_channels", "part_of"]
+__all__ = ["Part", "Startable", "needed_channels", "part_of"]
 
 
-class Recipe(Protocol):
+class Startable(Protocol):
     """What the start asks of a filter or another estimator."""
 
     @property
     def states(self) -> tuple[str, ...]:
         """Names of the states, the position first."""
+
+    @property
+    def kinds(self) -> Mapping[str, str]:
+        """What each state is."""
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
@@ -49,7 +53,7 @@ class Part(NamedTuple):
     velocities: tuple[int, ...]
 
 
-def part_of(recipe: Recipe, names: Sequence[str] | None) -> Part:
+def part_of(recipe: Startable, names: Sequence[str] | None) -> Part:
     """The sensors named, all if None."""
     known = {getattr(sensor, "name", ""): sensor for sensor in recipe.sensors}
     for name in names or ():
@@ -59,19 +63,18 @@ def part_of(recipe: Recipe, names: Sequence[str] | None) -> Part:
     if not chosen:
         raise InputError("sensors: found none, expected one or more")
     axes, states = _axes(recipe), recipe.states
-    found = [f"v{name}" for name in states[:axes]]
-    velocities = tuple(states.index(v) for v in found) if set(found) <= set(states) else ()
+    moving = tuple(i for i, name in enumerate(states) if recipe.kinds[name] == "velocity")
+    velocities = moving if len(moving) == axes else ()
     return Part(states, chosen, tuple(c for s in chosen for c in s.channels), axes, velocities)
 
 
-def _axes(recipe: Recipe) -> int:
-    """Position components: as the built-in sensors say, else states before the velocities."""
+def _axes(recipe: Startable) -> int:
+    """Position components: as the built-in sensors say, else the first states that are some."""
     axes = [int(getattr(sensor, "axes", 0)) for sensor in recipe.sensors]
     if max(axes, default=0):
         return max(axes)
-    states = recipe.states
-    leading = [i for i, name in enumerate(states) if name.startswith("v")]
-    return leading[0] if leading else len(states)
+    kinds = [recipe.kinds[name] for name in recipe.states]
+    return next((i for i, kind in enumerate(kinds) if kind != "position"), len(kinds))
 
 
 def needed_channels(part: Part) -> int:

@@ -29,7 +29,7 @@ from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
 from difffilter.scoring.hiding import hide_ahead, hide_channels, per_sensor
 from difffilter.scoring.losses import LOSSES, LossContext
-from difffilter.scoring.metrics import position_error
+from difffilter.scoring.metrics import squared_error
 from difffilter.seeds import stream
 from difffilter.tuning.curvature import Expansion, expand
 from difffilter.tuning.data import Batch, Trajectories, Windows
@@ -165,7 +165,7 @@ class Task:
         if "scenes" not in self.settings.loss:
             return log
         with torch.no_grad():
-            squared = position_error(log, run(self.filter, log, engine="torch"))
+            squared = squared_error(log, run(self.filter, log, engine="torch"), self.case.score)
         return replace(log, inputs={**log.inputs, "reference.squared": squared})
 
     def initial(self, start: int) -> ParameterSet:
@@ -244,7 +244,8 @@ class Task:
         if "worlds" in self.settings.loss:
             if not isinstance(self.case, Scenario) or not self.case.worlds:
                 raise InputError("loss worlds: found no [[worlds]], expected some in a scenario")
-            return drawn_worlds(family(self.case), self.filter, count, self.seed, purpose)
+            found, score = family(self.case), self.case.score
+            return drawn_worlds(found, self.filter, count, self.seed, purpose, score)
         return self.referred(self._started(simulate(self.case, count, self.seed, purpose)))
 
     def _started(self, log: Log) -> Log:

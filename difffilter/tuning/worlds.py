@@ -14,7 +14,7 @@ from difffilter.logs.family import Family, Member
 from difffilter.logs.log import Log, Start
 from difffilter.running.batch import run, start_belief
 from difffilter.scoring.losses import REFERENCE, WORLDS
-from difffilter.scoring.metrics import position_error
+from difffilter.scoring.metrics import Score, squared_error
 
 __all__ = ["drawn_worlds", "marked"]
 
@@ -22,11 +22,19 @@ __all__ = ["drawn_worlds", "marked"]
 LEAST = 8
 
 
-def drawn_worlds(family: Family, filter: Recipe, count: int, seed: int, purpose: str) -> Log:
+def drawn_worlds(
+    family: Family,
+    filter: Recipe,
+    count: int,
+    seed: int,
+    purpose: str,
+    score: Score | str = "all",
+) -> Log:
     """Trajectories of every member beside each other, started and marked.
 
     Args:
         count: in all; each member has as many as another, and at least ``LEAST``.
+        score: of which states errors are.
 
     Raises:
         InputError: a recorded member, or one without truth.
@@ -35,21 +43,24 @@ def drawn_worlds(family: Family, filter: Recipe, count: int, seed: int, purpose:
     logs = [_one(member, filter, each, seed, purpose) for member in family]
     joined = _beside(logs)
     own = torch.eye(len(family), dtype=joined.z.dtype).repeat_interleave(each, 0)
-    return marked(joined, filter, family, own)
+    return marked(joined, filter, family, own, score)
 
 
-def marked(log: Log, filter: Recipe, family: Family, members: Tensor) -> Log:
+def marked(
+    log: Log, filter: Recipe, family: Family, members: Tensor, score: Score | str = "all"
+) -> Log:
     """A started log with what the loss ``worlds`` reads beside its rows.
 
     Args:
         members: (B, k), 1 where a trajectory belongs to a member.
+        score: of which states errors are.
 
     Returns:
         The log with inputs ``reference.squared`` (T, B), squared errors of the published filter,
         and ``worlds.members``, ``worlds.weight``, ``worlds.allow`` (T, B, k).
     """
     with torch.no_grad():
-        squared = position_error(log, run(filter, log, engine="torch"))
+        squared = squared_error(log, run(filter, log, engine="torch"), score)
     weight = [m.weight * (m.role == "tune") for m in family]
     allow = [m.allow for m in family]
     rows = members.expand(log.steps, *members.shape)

@@ -247,7 +247,7 @@ def _time(log: Log) -> Tensor:
 
 
 def _axes(filter: Recipe) -> list[str]:
-    return [name for name in filter.states if name in AXES]
+    return [name for name in filter.states if filter.kinds[name] == "position"]
 
 
 def _places(filter: Recipe, prefix: str) -> list[int]:

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from difffilter.logs.log import Log
+from difffilter.logs.states import UNITS
 from difffilter.logs.track import Track
 from difffilter.reports.figures.modes import draw_modes
 from difffilter.reports.figures.style import COLOURS, axes_grid
@@ -43,7 +44,7 @@ def track_figure(
         true = None
         if truth is not None and name in log.truth_states:
             true = truth[:, log.truth_states.index(name)]
-        _draw_error(axes[1 + i], name, time, mean[:, i], std[:, i], true)
+        _draw_error(axes[1 + i], _labelled(track, name), time, mean[:, i], std[:, i], true)
         if later is not None:
             _draw_later_error(axes[1 + i], time, later[1][:, i], later[2][:, i], true)
     _draw_weights(axes[3], track, time, weights)
@@ -68,12 +69,23 @@ def _pick(
     return one(log.time, 0), one(track.mean, 1), one(track.std, 1), weights, truth
 
 
+def _labelled(track: Track, name: str) -> str:
+    """A state with its unit, where its kind tells it."""
+    unit = UNITS[track.kind(name)]
+    return f"{name} ({unit})" if unit else name
+
+
+def _is_plane(track: Track) -> bool:
+    """Whether the first two states are a position."""
+    return len(track.states) > 1 and all(track.kind(n) == "position" for n in track.states[:2])
+
+
 def _draw_track(
     ax: Axes, log: Log, track: Track, mean: np.ndarray, truth: np.ndarray | None
 ) -> None:
-    if len(track.states) < 2 or track.states[1].startswith("v"):
+    if not _is_plane(track):
         ax.plot(mean[:, 0], color=COLOURS["tuned"], label="estimate")
-        ax.set(xlabel="row", ylabel=f"{track.states[0]} (m)", title="track")
+        ax.set(xlabel="row", ylabel=_labelled(track, track.states[0]), title="track")
         return
     names = track.states[:2]
     if truth is not None and set(names) <= set(log.truth_states):
@@ -102,13 +114,15 @@ def _draw_error(
         span = np.nanmax(np.abs(error)) if np.isfinite(error).any() else 1.0
         limit = max(1.3 * span, 1.3 * 3 * float(np.nanmedian(std)))
         ax.set_ylim(-limit, limit)
-    ax.set(xlabel="time (s)", ylabel=f"error in {name} (m)", title=f"{name}: estimate - truth")
+    ax.set(
+        xlabel="time (s)", ylabel=f"error in {name}", title=f"{name.split()[0]}: estimate - truth"
+    )
     ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
 
 
 def _draw_later(ax: Axes, track: Track, mean: np.ndarray) -> None:
     """The smoothed track over the filtered one."""
-    flat = len(track.states) < 2 or track.states[1].startswith("v")
+    flat = not _is_plane(track)
     line = (mean[:, 0],) if flat else (mean[:, 0], mean[:, 1])
     ax.plot(*line, color=COLOURS["clairvoyant"], lw=1.2, label="smoothed")
     ax.legend(fontsize=8, loc="upper left", framealpha=0.6)

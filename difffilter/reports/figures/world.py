@@ -49,7 +49,8 @@ def world_figure(filter: Recipe, log: Log, trajectory: int = 0) -> Figure:
 
 def _paths(ax: Axes, filter: Recipe, log: Log) -> None:
     assert log.truth is not None
-    names = [name for name in filter.states if not name.startswith("v")][:2]
+    names = [name for name in filter.states if filter.kinds[name] == "position"][:2]
+    names = names or list(filter.states[:1])
     paths = [log.truth[..., log.truth_states.index(name)] for name in names]
     paths = [x.reshape(len(x), -1)[:, :SHOWN] for x in paths]
     if len(names) < 2:
