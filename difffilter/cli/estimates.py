@@ -28,6 +28,9 @@ from difffilter.scoring.metrics import REJECTED
 
 __all__ = ["Tally", "columns", "write_estimates"]
 
+#: Measurements of a channel rejected one after the other from which on that is told.
+LONG = 20
+
 
 class Tally:
     """What is told of a run, window by window.
@@ -46,6 +49,8 @@ class Tally:
         self.low: dict[str, int] = {}
         self.present: dict[str, int] = {}
         self.isolated: dict[str, int] = {}
+        self.streak: dict[str, int] = {}  # rejected just now, and the most in a row
+        self.longest: dict[str, int] = {}
 
     def add(self, track: Track) -> None:
         """Count the next window: a trajectory in a batch of its own."""
@@ -67,6 +72,7 @@ class Tally:
                 low = (track.record.weight[..., i] < REJECTED) & present
                 self.low[name] += int(low.sum())
                 self.present[name] += int(present.sum())
+                self._count_streak(name, low[present].tolist())
                 left_out = int(track.record.isolated[..., i].sum())
                 self.isolated[name] = self.isolated.get(name, 0) + left_out
 
@@ -82,6 +88,23 @@ class Tally:
         if any(track.kind(name) != "position" for name in self.states):
             self.what = ", ".join(self.states)
             self.unit = scored_unit(log, track, self.score)
+
+    def _count_streak(self, name: str, low: list[bool]) -> None:
+        """Measurements of a channel that were rejected one after the other."""
+        streak, longest = self.streak.get(name, 0), self.longest.get(name, 0)
+        for rejected in low:
+            streak = streak + 1 if rejected else 0
+            longest = max(longest, streak)
+        self.streak[name], self.longest[name] = streak, longest
+
+    def warnings(self) -> list[str]:
+        """A line for each channel that was rejected for long."""
+        return [
+            f"{name} was rejected {count} times in a row: wrong units, a broken sensor, or a "
+            "filter that is lost (recovery takes it back)"
+            for name, count in self.longest.items()
+            if count >= LONG
+        ]
 
     def summary(self) -> dict[str, Any]:
         """Number of rows, RMSE (None without its truth), by state too, and what was rejected."""

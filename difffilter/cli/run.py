@@ -141,6 +141,8 @@ def command(args: Namespace) -> int:
     tally = Tally(log, job.scenario.score)
     write_estimates(args.out, windows, clock, tally, args.covariance, later)
     result = tally.summary()
+    for line in tally.warnings():
+        note(line)
     if later is not None:
         again = Tally(log, job.scenario.score)
         again.add(later)

@@ -110,3 +110,34 @@ def test_a_large_file_is_read_as_a_small_one(
     for wrong in ("0.4,inf,1", "0.4,x,1", '0.4,"1",1', "0.4,1", ""):
         path.write_text(f"time,a,b\n0.1,1,2\n{wrong}\n0.5,1,1\n")
         assert tables._large(path, ",", ".") is None
+
+
+WORLD = """\
+schema = 1
+name = "jump"
+title = "One coordinate jumps for good"
+[sensors.fix]
+kind = "position"
+[parameters.motion.acceleration]
+value = 0.1
+[parameters.fix.sigma]
+value = 1.0
+[parameters.start.sigma]
+value = [1.0, 1.0, 0.1, 0.1]
+[systems.robust]
+weight = "igg3"
+"""
+
+
+@pytest.mark.parametrize(("rows", "told"), [(29, False), (30, True), (45, True)])
+def test_a_channel_rejected_for_long_is_told(
+    rows: int, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario, log = tmp_path / "jump.toml", tmp_path / "log.csv"
+    scenario.write_text(WORLD)
+    lines = [f"{k},{500.0 if k >= 10 else 0.1 * (k % 2)},{0.1 * (k % 3)}" for k in range(rows)]
+    log.write_text("\n".join(["time,fix_1,fix_2", *lines]) + "\n")
+    assert main(["run", str(scenario), str(log), "--out", str(tmp_path / "out.csv")]) == 0
+    said = capsys.readouterr().err
+    assert (f"fix_1 was rejected {rows - 10} times in a row" in said) is told
+    assert "fix_2 was rejected" not in said
