@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,8 @@ __all__ = ["add"]
 
 #: Rows that are simulated at once.
 PART = 1_000_000
+#: Bytes that a number takes in a CSV file, at least.
+NUMBER = 8
 #: First line of a log that is to be read as it is: without [log], whatever a fault made of it.
 MARKED = "1, SI units, simulated"
 EXAMPLE = """\
@@ -68,13 +71,14 @@ def command(args: Namespace) -> int:
     part = max(1, PART // world.steps) if world else args.trajectories
     _check_memory(scenario, min(part, args.trajectories))
     folder = Path(args.out)
-    files = [
-        folder if single else folder / f"{scenario.name}-{args.seed}-{i:04d}.csv"
-        for i in range(args.trajectories)
-    ]
-    check_place(str(files[0]))
-    for first in range(0, len(files), part):
-        places = files[first : first + part]
+
+    def place(i: int) -> Path:
+        return folder if single else folder / f"{scenario.name}-{args.seed}-{i:04d}.csv"
+
+    check_place(str(place(0)))
+    _check_disk(scenario, args.trajectories, folder)
+    for first in range(0, args.trajectories, part):
+        places = [place(i) for i in range(first, min(first + part, args.trajectories))]
         # A part has a stream of its own; the first one is what difffilter.simulate draws.
         purpose = f"log {first // part}" if first else "log"
         log = simulate(scenario, len(places), args.seed, purpose)
@@ -93,11 +97,11 @@ def command(args: Namespace) -> int:
                 "trajectories": args.trajectories,
                 "seed": args.seed,
                 "rows": log.steps,
-                "files": [str(path) for path in files],
+                "files": [str(place(i)) for i in range(args.trajectories)],
             }
         )
     else:
-        count = "1 log" if len(files) == 1 else f"{len(files)} logs"
+        count = "1 log" if args.trajectories == 1 else f"{args.trajectories} logs"
         say(f"{scenario.name}: {count} of {log.steps} rows with truth in {args.out}")
     return 0
 
@@ -114,6 +118,22 @@ def _check_memory(scenario: Scenario, trajectories: int) -> None:
             f"--trajectories {trajectories}: {scenario.world.steps} rows each need about "
             f"{needed / 1e9:.3g} GB of memory, found {free / 1e9:.3g} GB free: expected fewer or "
             "shorter trajectories"
+        )
+
+
+def _check_disk(scenario: Scenario, trajectories: int, folder: Path) -> None:
+    """Raise InputError, before anything is written, for more files than the disk takes."""
+    if scenario.world is None:
+        return
+    columns = 1 + 2 * scenario.axes + len(scenario.channels)
+    needed = NUMBER * columns * scenario.world.steps * trajectories
+    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
+    free = shutil.disk_usage(there).free
+    if needed > free:
+        raise InputError(
+            f"--trajectories {trajectories}: {scenario.world.steps} rows each need about "
+            f"{needed / 1e9:.3g} GB of disk, found {free / 1e9:.3g} GB free at {there}: expected "
+            "fewer or shorter trajectories"
         )
 
 

@@ -55,11 +55,11 @@ ARGUMENTS = {
     "steps not a number": ("tune tiny.toml --steps many", ["--steps", "'many'"]),
     "no steps": ("tune tiny.toml --steps 0", ["--steps", "'0'", "1 or more"]),
     "many logs in a file": ("simulate tiny.toml --out one.csv", ["one.csv", "100 trajectories"]),
-    "more than memory": (
-        "simulate tiny.toml --out d --trajectories 99999999999", ["GB of memory", "trajectories"],
+    "more than the disk": (
+        "simulate tiny.toml --out d --trajectories 99999999999", ["GB of disk", "trajectories"],
     ),
-    "far more than memory": (
-        f"simulate tiny.toml --out d --trajectories {10**22}", ["GB of memory", "trajectories"],
+    "far more than the disk": (
+        f"simulate tiny.toml --out d --trajectories {10**22}", ["GB of disk", "trajectories"],
     ),
     "a world without end": (
         "simulate tiny.toml --out d --trajectories 2 --set world.dt=1e308", ["world.dt"],
