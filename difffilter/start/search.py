@@ -125,7 +125,7 @@ class Problem:
         state = self.frame.state(unknown)
         predicted = [s.predict(state, self.inputs, self.constants) for s in self.sensors]
         standard = residual(self.sensors, self.z, predicted) / (self.scale * self.sigma(state))
-        total = torch.log1p(standard.square() @ self.groups).sum((0, -1))
+        total = torch.log1p(_square(standard) @ self.groups).sum((0, -1))
         total = total + (self.frame.information * unknown.square()).sum(-1) / self.scale**2
         return torch.where(torch.isnan(total), torch.inf, total)
 
@@ -140,7 +140,7 @@ class Problem:
         return self._weights(standard / own.unsqueeze(-1).clamp_min(self.scale))
 
     def _weights(self, standard: Tensor) -> Tensor:
-        return (1.0 / (1.0 + standard.square() @ self.groups)) @ self.groups.mT
+        return (1.0 / (1.0 + _square(standard) @ self.groups)) @ self.groups.mT
 
     def refine(self, start: Tensor, weigh: Weigh, iterations: int) -> tuple[Tensor, Tensor, Tensor]:
         """Refined candidates (C, B, a), their factors and costs; without a fix, infinity."""
@@ -156,6 +156,12 @@ class Problem:
             frame=self.frame,
         )
         return *fix, self.cost(fix.position)
+
+
+def _square(x: Tensor) -> Tensor:
+    """x^2, of what is too large to be squared the largest square: costs stay comparable."""
+    largest = torch.finfo(x.dtype).max ** 0.49
+    return x.clamp(-largest, largest).square()
 
 
 def search(problem: Problem, iterations: int) -> Found:
@@ -176,12 +182,13 @@ def search(problem: Problem, iterations: int) -> Found:
     apart, at_most = _apart(refined, value, axes)
     near = (at_most <= 2.0 * least.amin(0) + DOUBTFUL).any(0).nonzero().flatten()
     if len(near):
+        kept = len(least)  # FINISHED, or fewer where the grid has no more
         more = problem.select(near).refine(apart[:, near], problem.narrow, 2 * iterations)
         unknown = torch.cat([unknown, apart])
-        factor = torch.cat([factor, torch.zeros_like(factor)])
-        least = torch.cat([least, torch.full_like(least, torch.inf)])
+        factor = torch.cat([factor, factor.new_zeros(len(apart), *factor.shape[1:])])
+        least = torch.cat([least, least.new_full(apart.shape[:2], torch.inf)])
         for all_of, some in zip((unknown, factor, least), more, strict=True):
-            all_of[FINISHED:, near] = some
+            all_of[kept:, near] = some
     value = least
     pick = value.argmin(0)
     row = torch.arange(len(pick))

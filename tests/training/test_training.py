@@ -23,6 +23,7 @@ PUBLIC = {
     "difffilter.files",
     "difffilter.comparison.optimality",
     "difffilter.adaptation.trust",
+    "difffilter.verdict",
 }
 
 
@@ -172,5 +173,5 @@ def test_each_experiment_has_the_same_few_files(paper: str) -> None:
     assert ("paper" in files) == (paper != "uwb")  # recordings, no paper
     assert files <= {
         "run", "paper", "claims", "tables", "figures", "tracks", "equations", "traps",
-        "scores", "transfer",
+        "scores", "transfer", "mixtures", "smoothing", "errors",
     }  # fmt: skip
