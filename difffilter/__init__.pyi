@@ -90,6 +90,7 @@ from difffilter.robust.gate import Gate as Gate
 from difffilter.robust.groups import channel_groups as channel_groups
 from difffilter.robust.recovery import Recovery as Recovery
 from difffilter.running.batch import run as run
+from difffilter.running.fixed_lag import FixedLag as FixedLag
 from difffilter.running.objectives import Sums as Sums
 from difffilter.running.objectives import objective as objective
 from difffilter.running.objectives import sum_losses as sum_losses
