@@ -30,11 +30,13 @@ from difffilter.sensors.sensor import FunctionSensor
 
 TRUTH = {"position": 1.0, "consistency": 0.1}
 FREE = {"likelihood": 1.0}
+BOTH = {"likelihood": 1.0, "innovation-consistency": 1.0}
 #: By name: what is hidden, and the loss.
 WAYS = {
     "with truth": ("", TRUTH),
     "likelihood": ("", FREE),
     "hide channels": ("channels", FREE),
+    "hide channels, consistent": ("channels", BOTH),
     "hide ahead, 1 s": ("ahead", FREE),
 }
 STEPS = 100
