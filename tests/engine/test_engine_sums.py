@@ -16,7 +16,7 @@ from helpers import assert_close, tensor
 from sums_cases import plane, summed
 
 from difffilter import Filter, Log, Start, load_scenario, simulate, started
-from difffilter.engine import choice
+from difffilter.engine import choice, notice
 from difffilter.engine.build import compiler
 from difffilter.errors import EngineError, InputError, NonFiniteError
 from difffilter.filters.recipe import Recipe
@@ -112,8 +112,10 @@ def test_a_trajectorys_sums_do_not_depend_on_its_neighbours(index: list[int]) ->
     whole = summed(filter, log, "fused")
     part = summed(filter, log.select(index), "fused")
     assert torch.equal(part.values, whole.values[index])
-    assert torch.equal(part.tangents, whole.tangents[index])
-    assert torch.equal(part.gram, whole.gram[index])
+    # One trajectory alone runs one lane wide, where the compiler joins other operations.
+    close = {"rtol": 1e-13, "atol": 1e-13} if len(index) == 1 else {"rtol": 0.0, "atol": 0.0}
+    assert torch.allclose(part.tangents, whole.tangents[index], **close)
+    assert torch.allclose(part.gram, whole.gram[index], **close)
 
 
 THREADS = """
@@ -187,7 +189,7 @@ def auto(monkeypatch: pytest.MonkeyPatch) -> None:
     """auto tries the compiled engine, however short the job, and nothing has been told."""
     monkeypatch.setenv("DIFFFILTER_ENGINE", "auto")
     monkeypatch.setattr(choice, "ENOUGH", 0.0)
-    monkeypatch.setattr(choice, "_told", set())
+    monkeypatch.setattr(notice, "_told", set())
 
 
 def value(filter: Filter, log: Log, engine: str) -> float:

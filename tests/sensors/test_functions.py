@@ -14,6 +14,10 @@ from difffilter.engine.functions import FUNCTIONS, INLINE
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="no C compiler")
 
+#: Of one argument, and of two.
+PAIRED = ("hypot", "pow")
+SINGLE = [op for op in INLINE if op not in PAIRED]
+
 Array = NDArray[np.float64]
 LARGEST, SMALLEST = float(np.finfo(float).max), 5e-324
 NORMAL = float(np.finfo(float).tiny)
@@ -23,21 +27,22 @@ EDGES = [0.0, SMALLEST, 1e-310, NORMAL, 1e-300, 1e-17, 2.0**-53, 1e-9, 0.5, 0.62
 
 
 @pytest.fixture(scope="module")
-def compiled() -> Callable[[str, Array], Array]:
+def compiled() -> Callable[..., Array]:
     """The functions over arrays, compiled as in a step: in loops for vector code."""
     loops = "".join(
-        f"void many_{op}(long n, const double *x, double *y)\n"
+        f"void many_{op}(long n, const double *x, const double *b, double *y)\n"
         "{\n#pragma omp simd\n    for (long i = 0; i < n; i++)\n"
-        f"        y[i] = {name}(x[i]);\n}}\n"
+        f"        y[i] = {name}(x[i]{', b[i]' if op in PAIRED else ''});\n}}\n"
         for op, name in INLINE.items()
     )
     head = "".join(f"#include <{name}.h>\n" for name in ("math", "stdint", "stdlib", "string"))
     library = build(head + FUNCTIONS + loops)
 
-    def call(op: str, x: Array) -> Array:
+    def call(op: str, x: Array, b: Array | None = None) -> Array:
         x = np.ascontiguousarray(x, dtype=float)
+        second = np.ascontiguousarray(x if b is None else b, dtype=float)
         y = np.empty_like(x)
-        where = [a.ctypes.data_as(ctypes.c_void_p) for a in (x, y)]
+        where = [a.ctypes.data_as(ctypes.c_void_p) for a in (x, second, y)]
         getattr(library, f"many_{op}")(ctypes.c_long(x.size), *where)
         return y
 
@@ -74,9 +79,9 @@ def arguments(op: str) -> Array:
 ULPS = {"exp": 2.0, "log": 2.0, "log1p": 4.0, "tanh": 4.0}
 
 
-@pytest.mark.parametrize("op", INLINE)
+@pytest.mark.parametrize("op", SINGLE)
 def test_errors_stay_within_units_in_the_last_place(
-    compiled: Callable[[str, Array], Array], op: str
+    compiled: Callable[..., Array], op: str
 ) -> None:
     x = arguments(op)
     with np.errstate(all="ignore"):
@@ -107,8 +112,8 @@ SPECIAL: dict[str, list[tuple[float, float]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("op", INLINE)
-def test_special_values_are_exact(compiled: Callable[[str, Array], Array], op: str) -> None:
+@pytest.mark.parametrize("op", SINGLE)
+def test_special_values_are_exact(compiled: Callable[..., Array], op: str) -> None:
     x, expected = (np.array(column) for column in zip(*SPECIAL[op], strict=True))
     found = compiled(op, x)
     for given, a, b in zip(x, found, expected, strict=True):
@@ -118,10 +123,38 @@ def test_special_values_are_exact(compiled: Callable[[str, Array], Array], op: s
 
 
 def test_odd_and_monotonic_where_the_formula_changes(
-    compiled: Callable[[str, Array], Array],
+    compiled: Callable[..., Array],
 ) -> None:
     x = np.linspace(0.6, 0.65, 4001)
     assert np.array_equal(compiled("tanh", -x), -compiled("tanh", x))
     assert (np.diff(compiled("tanh", x)) > 0.0).all()
     near = np.linspace(0.7, 0.72, 4001)
     assert (np.diff(compiled("log", near)) > 0.0).all()
+
+
+def test_a_length_is_right_to_units_in_the_last_place(compiled: Callable[..., Array]) -> None:
+    rng = np.random.default_rng(6)
+    x, y = 10.0 ** rng.uniform(-150.0, 150.0, (2, 20000)) * rng.choice([-1.0, 1.0], (2, 20000))
+    x[:10000] = y[:10000] * rng.uniform(-2.0, 2.0, 10000)
+    exact = np.hypot(x.astype(np.longdouble), y.astype(np.longdouble))
+    error = np.abs(compiled("hypot", x, y) - exact) / np.spacing(exact.astype(float))
+    assert float(error.max()) <= 3.0
+
+
+def test_a_power_is_right_as_far_as_its_logarithm_is(compiled: Callable[..., Array]) -> None:
+    rng = np.random.default_rng(7)
+    a, b = 10.0 ** rng.uniform(-30.0, 30.0, 20000), rng.uniform(-9.0, 9.0, 20000)
+    a[:5000], b[:5000] = -a[:5000], b[:5000].round()
+    exact = np.power(a.astype(np.longdouble), b.astype(np.longdouble))
+    error = np.abs(compiled("pow", a, b) - exact) / np.spacing(np.abs(exact.astype(float)))
+    # The exponent b log a is rounded, twice, before it is raised.
+    assert (error.astype(float) <= 3.0 + 2.0 * np.abs(b * np.log(np.abs(a)))).all()
+
+
+@pytest.mark.parametrize("op", PAIRED)
+def test_special_pairs_are_those_of_numpy(compiled: Callable[..., Array], op: str) -> None:
+    values = np.array([0.0, -0.0, 1.0, -1.0, 2.0, -2.0, 3.0, 0.5, -0.5, np.inf, -np.inf, np.nan])
+    x, y = (grid.reshape(-1) for grid in np.meshgrid(values, values))
+    with np.errstate(all="ignore"):
+        expected = (np.hypot if op == "hypot" else np.power)(x, y)
+    np.testing.assert_allclose(compiled(op, x, y), expected, rtol=1e-15)

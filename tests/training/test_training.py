@@ -99,7 +99,7 @@ def test_the_manoeuvre_experiment_runs_and_leaves_reports_figures_and_checkpoint
     assert [row["system"] for row in rows if row["from"] == "reference"] == [
         "srckf", "robust-srckf", "lcasrckf", "stf-srckf", "rmckf", "fusion",
     ]  # fmt: skip
-    assert len([row for row in rows if row["from"] == "here"]) == 9
+    assert len([row for row in rows if row["from"] == "here"]) == 12
     assert len(report["tables"]["tuned"]) == 4
     assert {row["system"] for row in report["tables"]["equal terms"]} >= {"fusion", "pooled-robust"}
     assert len(report["claims"]) == 9
@@ -173,5 +173,5 @@ def test_each_experiment_has_the_same_few_files(paper: str) -> None:
     assert ("paper" in files) == (paper != "uwb")  # recordings, no paper
     assert files <= {
         "run", "paper", "claims", "tables", "figures", "tracks", "equations", "traps",
-        "scores", "transfer", "mixtures", "smoothing", "errors",
+        "scores", "transfer", "mixtures", "smoothing", "without_truth",
     }  # fmt: skip
