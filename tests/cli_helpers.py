@@ -44,7 +44,7 @@ def process(*arguments: object, cwd: Path | None = None) -> subprocess.Completed
         [sys.executable, "-m", "difffilter", *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=400,
         cwd=cwd,
         env=environment(),
     )

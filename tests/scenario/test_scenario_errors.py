@@ -406,9 +406,9 @@ TOGETHER: list[tuple[str, dict[str, Any], str]] = [
         "motion.state_sigma: found shape [2], expected one number or 4 numbers",
     ),
     (
-        MANOEUVRE,
-        {"motion.noise": "discrete"},
-        "needs [parameters.motion.acceleration], found none",
+        "uwb-simulated",
+        {"motion.noise": "state"},
+        "needs [parameters.motion.state_sigma], found none",
     ),
     (
         MANOEUVRE,

@@ -194,7 +194,7 @@ def test_the_command_writes_one_page_and_prints_the_advice(tmp_path: Path) -> No
     for words, message in (
         ((str(tmp_path / "uwb.json"),), "uwb-ranges: has no world, expected --log"),
         ((str(place), "--out", str(place)), "found a file, expected a folder"),
-        ((str(place), str(place), "--log", "x.csv"), "expected one with recorded logs"),
+        ((str(place), str(place), "--log", "x.csv"), "x.csv: cannot be read"),
         ((str(place), "--train", "x.csv"), "found no --log beside it"),
     ):
         done = command(*words)
