@@ -62,8 +62,8 @@ class FixedLag:
         >>> recipe = Filter(ConstantVelocity(axes=1), (Position(axes=1, sigma=2.0),))
         >>> late = FixedLag(Tracker(recipe, [0.0, 1.0], [[4.0, 0.0], [0.0, 1.0]]), lag=2.0)
         >>> found = [late.step([1.0 * k], dt=1.0)[1] for k in range(5)]
-        >>> [row.time for rows in found for row in rows]
-        [1.0, 2.0]
+        >>> print(*(row.time for rows in found for row in rows))
+        1.0 2.0
     """
 
     def __init__(self, tracker: Tracker, lag: float) -> None:
