@@ -117,7 +117,7 @@ sys.exit(main(sys.argv[1:]))
 
 def test_interrupted_tuning_says_how_to_resume(tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text(TINY)
-    options = ["tune", "tiny.toml", "--system", "ekf", "--steps", "40", "--out", "a.json"]
+    options = ["tune", "tiny.toml", "--system", "ekf", "--steps", "5", "--out", "a.json"]
     options += ["--set", "tuning.evaluate_every=1", "--set", "tuning.patience=99"]
     done = subprocess.run(
         [sys.executable, "-c", INTERRUPTED, *options],
@@ -125,7 +125,7 @@ def test_interrupted_tuning_says_how_to_resume(tmp_path: Path) -> None:
         text=True,
         cwd=tmp_path,
         env=environment(),
-        timeout=100,
+        timeout=400,
         check=False,
     )
     assert done.returncode == 130, done.stderr
