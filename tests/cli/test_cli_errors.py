@@ -76,7 +76,9 @@ ARGUMENTS = {
     "out of compare": ("compare tiny.toml --out a.csv", ["a.csv", ".json or .md"]),
     "unknown system": ("compare tiny.toml --system ekff", ["'ekff'", "chan-ekf"]),
     "unknown values": ("compare tiny.toml --values best", ["'best'", "published"]),
-    "no tuned values": ("compare tiny.toml --values tuned", ["tiny", "difffilter tune"]),
+    "no tuned values": (
+        "compare gate-lockout --values tuned", ["gate-lockout", "difffilter tune"],
+    ),
     "values of another system": (
         "compare tiny.toml --system ekf --values frozen.json", ["frozen.json", "m-ekf", "ekf"],
     ),
