@@ -70,7 +70,9 @@ def assert_same(system: Filter, log: Log, temperature: float | None = None) -> N
         assert got.dtype == expected.dtype, name
         assert got.shape == expected.shape, name
         a, b = (np.nan_to_num(x.double().numpy()) for x in (got, expected))
-        np.testing.assert_allclose(a, b, 0.0, tolerance * max(1.0, np.abs(b).max()), err_msg=name)
+        np.testing.assert_allclose(
+            a, b, 0.0, tolerance * max(1.0, np.abs(b).max(initial=0.0)), err_msg=name
+        )
 
 
 def shortened(name: str, system: str, overrides: dict[str, object]) -> tuple[Filter, Log]:
