@@ -69,6 +69,19 @@ class Declared(ABC):
         dtype = next(iter(given.values())).dtype if given else torch.float64
         return self.published(dtype) | given
 
+    @abstractmethod
+    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
+        """Constants of a run from physical values (the declared ones where missing).
+
+        Args:
+            values: by parameter name, differentiable.
+            temperature: of the soft weights and gates, for training; None for the hard,
+                published forms.
+
+        Raises:
+            InputError: an unknown name, a wrong shape or an inadmissible value.
+        """
+
 
 class Overridable(Declared):
     """Declarations of its own, which ``overrides`` replace; a frozen dataclass."""
@@ -146,16 +159,7 @@ class Composed(Overridable):
         return {}
 
     def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
-        """Constants of a run from physical values (the declared ones where missing).
-
-        Args:
-            values: by parameter name, differentiable.
-            temperature: of the soft weights and gates, for training; None for the hard,
-                published forms.
-
-        Raises:
-            InputError: an unknown name, a wrong shape or an inadmissible value.
-        """
+        """Constants that the parts make of the values, and the values themselves."""
         complete = self.complete(values)
         constants = dict(complete)
         for part in self.parts:

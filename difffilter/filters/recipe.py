@@ -98,19 +98,6 @@ class Recipe(Declared):
         """The same recipe with other declared values; InputError if one does not fit."""
 
     @abstractmethod
-    def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:
-        """Constants of a run from physical values (the declared ones where missing).
-
-        Args:
-            values: by parameter name, differentiable.
-            temperature: of the soft weights and gates, for training; None for the hard,
-                published forms.
-
-        Raises:
-            InputError: an unknown name, a wrong shape or an inadmissible value.
-        """
-
-    @abstractmethod
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input is missing: a platform, or what is foretold."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
@@ -40,7 +41,8 @@ def load_models(path: str | Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise InputError(f"--models {path}: {type(error).__name__}: {error}") from None
+        where = _where(error, module)
+        raise InputError(f"--models {path}: {type(error).__name__}: {error} ({where})") from None
     finally:
         if held is not None:
             sys.modules[path.stem] = held
@@ -48,12 +50,19 @@ def load_models(path: str | Path) -> ModuleType:
     return module
 
 
+def _where(error: Exception, module: ModuleType) -> str:
+    """File and line of the user's module that an error came through last."""
+    path = str(module.__file__)
+    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == path]
+    return f"line {lines[-1]} of {path}" if lines else path
+
+
 def made(factory: str) -> Model:
     """The model that a factory ``module:function`` of a loaded module makes.
 
     Raises:
-        InputError: a module that was not loaded, a function that it has not, something else
-            than a filter or a model.
+        InputError: a module that was not loaded, a function that it has not or that fails,
+            something else than a filter or a model.
     """
     module, _, name = factory.partition(":")
     if module not in _MODULES:
@@ -61,7 +70,14 @@ def made(factory: str) -> Model:
     function = getattr(_MODULES[module], name, None)
     if not callable(function):
         raise InputError(f"{factory}: found no function {name} in {module}.py")
-    found = function()
+    try:
+        found = function()
+    except InputError as error:
+        raise InputError(f"{factory}: {error}") from None
+    except Exception as error:
+        raise InputError(
+            f"{factory}: {type(error).__name__}: {error} ({_where(error, _MODULES[module])})"
+        ) from None
     if isinstance(found, Recipe):
         found = Model(found, name)
     if not isinstance(found, Model):

@@ -46,15 +46,14 @@ def hide_ahead(log: Log, seconds: float, parts: int = 4) -> Log:
     """
     if not seconds > 0.0:
         raise InputError(f"hide ahead: found {seconds} s, expected more than 0")
-    time = log.time if log.time.dim() == 1 else log.time[:, :1].squeeze(-1)
-    window = torch.floor((time - time[0]) / seconds).long()
-    if int(window[-1]) < parts:
+    window = torch.floor((log.time - log.time[0]) / seconds).long()
+    if int(window[-1].min()) < parts:
         raise InputError(
-            f"hide ahead: found a log of {float(time[-1] - time[0]):.6g} s, "
+            f"hide ahead: found a log of {float((log.time[-1] - log.time[0]).min()):.6g} s, "
             f"expected more than {parts} windows of {seconds:.6g} s"
         )
     masks = [((window % parts == i) & (window > 0)).to(log.z.dtype) for i in range(parts)]
-    return _variants(log, [m.unsqueeze(-1).expand(-1, len(log.channels)) for m in masks])
+    return _variants(log, [m.unsqueeze(-1).expand(*m.shape, len(log.channels)) for m in masks])
 
 
 def per_sensor(recipe: Recipe) -> tuple[tuple[int, ...], ...]:
@@ -64,7 +63,7 @@ def per_sensor(recipe: Recipe) -> tuple[tuple[int, ...], ...]:
 
 
 def _variants(log: Log, masks: list[Tensor]) -> Log:
-    """The log's trajectories once for each mask (T, m), as the input ``hidden``."""
+    """The log's trajectories once for each mask (T, m) or (T, B, m), as the input ``hidden``."""
     if log.z.dim() == 2:
         z = log.z.unsqueeze(1)
         truth = None if log.truth is None else log.truth.unsqueeze(1)
@@ -76,5 +75,6 @@ def _variants(log: Log, masks: list[Tensor]) -> Log:
         log = replace(log, z=z, truth=truth, inputs=inputs, start=start)
     count = log.trajectories
     chosen = log.select([b for _ in masks for b in range(count)])
-    hidden = torch.stack([m for m in masks for _ in range(count)], dim=1)
+    each = [m if m.dim() == 3 else m.unsqueeze(1).expand(-1, count, -1) for m in masks]
+    hidden = torch.cat(each, dim=1)
     return replace(chosen, inputs={**chosen.inputs, HIDDEN: hidden})

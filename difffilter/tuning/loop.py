@@ -187,8 +187,8 @@ def _tunable(case: Case) -> Recipe:
         raise InputError(f"tune: system {name} is a baseline, expected a filter")
     if not any(p.tuned for p in system.declarations.values()):
         raise InputError(
-            f"tune: no parameter of {name} has tuned = true, expected one or more, or tuned=[...] "
-            f"among {', '.join(system.declarations)}"
+            f"tune: no parameter of {name} has tuned = true, expected one or more (--tuned NAME, "
+            f"or tuned=[...]) among {', '.join(system.declarations)}"
         )
     return system
 

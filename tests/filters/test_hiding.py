@@ -59,6 +59,21 @@ def test_each_channel_from_the_other() -> None:
         assert_close(track.record.innovation[9, i, i], gap, 1e-12)
 
 
+def test_windows_are_of_each_trajectorys_own_times() -> None:
+    """Rows twice as far apart: half as many in each window."""
+    log = log_of(12)
+    time = torch.stack([log.time, 2.0 * log.time], 1)
+    assert log.start is not None
+    start = Start(log.start.mean.expand(2, -1), log.start.covariance)
+    pair = replace(log, time=time, z=log.z.unsqueeze(1).expand(-1, 2, -1), start=start)
+    mask = hide_ahead(pair, 4.0, parts=2).inputs[HIDDEN][..., 0].reshape(12, 2, 2)
+    slow, fast = (torch.floor(t / 4.0) for t in time.unbind(1))
+    for part in (0, 1):
+        for b, window in enumerate((slow, fast)):
+            expected = ((window % 2 == part) & (window > 0)).to(D)
+            assert torch.equal(mask[:, part, b], expected)
+
+
 def test_windows_are_foretold() -> None:
     """Every row is hidden once, but for the first window: that has nothing before it."""
     hidden = hide_ahead(log_of(), 3.0, parts=3)

@@ -17,6 +17,7 @@ from torch import Tensor
 import difffilter as df
 from difffilter.errors import CheckpointError, InputError
 from difffilter.parameters.constraints import Positive
+from difffilter.scenario.own import made
 
 SMALL = {"trajectories": 8, "validation": 6, "test": 6, "batch": 8, "steps": 4,
          "evaluate_every": 2, "optimiser": "adam", "learning_rate": 0.3}  # fmt: skip
@@ -140,7 +141,7 @@ def test_what_is_held_back_is_said_and_is_not_trained_on(model: df.Model) -> Non
 
 
 REFUSED: dict[str, tuple[dict[str, object], str]] = {
-    "nothing": ({}, r"no parameter of tank has tuned = true, expected .*tuned=\[\.\.\.\] among"),
+    "nothing": ({}, r"no parameter of tank has tuned = true, expected .*tuned=\[\.\.\.\]\) among"),
     "no name": ({"tuned": []}, "tuned: found no name"),
     "unknown": ({"tuned": ["gauge.*", "radar.*"]}, r"tuned: found 'radar\.\*', expected names"),
     "setting": ({"tuned": ["gauge.sigma"], "settings": {"step": 1}}, "tuning.step: unknown key"),
@@ -242,3 +243,17 @@ def test_the_command_line_takes_models_of_ones_own(tank: Path, tmp_path: Path) -
     done = process("export", "plant.json", "--to", "c", "--out", "c", *more, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "c" / "plant.c").is_file()
+
+
+def test_a_factory_that_fails_is_one_line_with_its_place(tmp_path: Path) -> None:
+    """The user's own mistake, named with the line of the user's own file."""
+    path = tmp_path / "broken.py"
+    path.write_text("def make():\n    return [][3]\n")
+    df.load_models(path)
+    with pytest.raises(InputError) as caught:
+        made("broken:make")
+    said = f"broken:make: IndexError: list index out of range (line 2 of {path})"
+    assert str(caught.value) == said
+    path.write_text("x = 1\ny = 1 / 0\n")
+    with pytest.raises(InputError, match=r"ZeroDivisionError: division by zero \(line 2 of"):
+        df.load_models(path)

@@ -95,6 +95,7 @@ def _draw_track(
     ax.plot(mean[0, 0], mean[0, 1], "o", color=COLOURS["published"], ms=5, label="start")
     ax.set(xlabel="x (m)", ylabel="y (m)", title="track")
     ax.set_aspect("equal", adjustable="datalim")
+    ax.locator_params(axis="x", nbins=6)  # labels of many digits stay apart
     ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
 
 
