@@ -4,7 +4,7 @@
 # make fuzz        random recipes, logs and faults of the machine (SECONDS=120 SEED=0)
 # make sanitize    exported C of every checkpoint under AddressSanitizer and UBSan
 # make docs        this documentation as a site, with the API reference: site/index.html
-# Each sets up .venv first. QUICK=1 makes reproduce a matter of a minute.
+# Each sets up .venv first. QUICK=1 makes reproduce a matter of five minutes.
 
 PYTHON ?= python3
 VENV := .venv
