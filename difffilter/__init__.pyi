@@ -54,6 +54,7 @@ from difffilter.errors import RankError as RankError
 from difffilter.export.c99 import export_c as export_c
 from difffilter.filters.filter import Filter as Filter
 from difffilter.filters.fusion import Fusion as Fusion
+from difffilter.filters.hiding import Hiding as Hiding
 from difffilter.filters.mixture import Mixture as Mixture
 from difffilter.filters.recipe import Recipe as Recipe
 from difffilter.filters.stepping import step as step
@@ -113,6 +114,10 @@ from difffilter.scenario.scenario import Scenario as Scenario
 from difffilter.scenario.scenario import load_scenario as load_scenario
 from difffilter.scenario.settings import TuneSettings as TuneSettings
 from difffilter.scenario.simulation import simulate as simulate
+from difffilter.scoring.directions import mean_directions as mean_directions
+from difffilter.scoring.directions import nees_directions as nees_directions
+from difffilter.scoring.hiding import hide_ahead as hide_ahead
+from difffilter.scoring.hiding import hide_channels as hide_channels
 from difffilter.scoring.losses import LOSSES as LOSSES
 from difffilter.scoring.losses import Loss as Loss
 from difffilter.scoring.losses import LossContext as LossContext

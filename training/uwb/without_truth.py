@@ -17,16 +17,6 @@ import torch
 from torch import Tensor
 
 import difffilter as df
-from difffilter.filters.hiding import Hiding
-from difffilter.motions.function import FunctionMotion
-from difffilter.parameters.constraints import Positive
-from difffilter.parameters.parameters import Parameter, ParameterSet
-from difffilter.running.objectives import Problem, objective
-from difffilter.scoring.directions import mean_directions
-from difffilter.scoring.hiding import hide_ahead, hide_channels
-from difffilter.scoring.loss import LossContext
-from difffilter.scoring.metrics import Score, scored_rows
-from difffilter.sensors.sensor import FunctionSensor
 
 TRUTH = {"position": 1.0, "consistency": 0.1}
 FREE = {"likelihood": 1.0}
@@ -67,12 +57,12 @@ def lasting(base: df.Filter) -> df.Filter:
 
     states = ("x", "y", "vx", "vy", "error")
     declared = (
-        Parameter("motion.acceleration", 3.0, Positive(), "m/s^2", tuned=True),
-        Parameter("common.sigma", 0.2, Positive(), "m", tuned=True),
-        Parameter("common.time", 1.4, Positive(), "s", tuned=True),
+        df.Parameter("motion.acceleration", 3.0, df.Positive(), "m/s^2", tuned=True),
+        df.Parameter("common.sigma", 0.2, df.Positive(), "m", tuned=True),
+        df.Parameter("common.time", 1.4, df.Positive(), "s", tuned=True),
     )
-    motion = FunctionMotion(states, ahead, noise, declared)
-    sensor = FunctionSensor(ranges.channels, seen, 0.1, name="range")
+    motion = df.FunctionMotion(states, ahead, noise, declared)
+    sensor = df.FunctionSensor(ranges.channels, seen, 0.1, name="range")
     found = df.Filter(
         motion,
         (sensor,),
@@ -85,17 +75,19 @@ def lasting(base: df.Filter) -> df.Filter:
     return replace(found, overrides=free)
 
 
-def tuned(recipe: df.Filter, logs: list[df.Log], way: str, score: Score | str) -> dict[str, Tensor]:
+def tuned(
+    recipe: df.Filter, logs: list[df.Log], way: str, score: df.Score | str
+) -> dict[str, Tensor]:
     """Values of least loss over the logs, from the declared ones."""
     hide, loss = WAYS[way]
-    context = LossContext(score)
+    context = df.LossContext(score)
     problems = []
     for log in logs:
-        hidden = {"channels": hide_channels, "ahead": lambda x: hide_ahead(x, 1.0)}.get(hide)
-        runner = recipe if hidden is None else Hiding(recipe)
+        hidden = {"channels": df.hide_channels, "ahead": lambda x: df.hide_ahead(x, 1.0)}.get(hide)
+        runner = recipe if hidden is None else df.Hiding(recipe)
         asked = log if hidden is None else hidden(log)
-        problems.append(Problem(runner, asked, loss, context=context, temperature=0.02))
-    parameters = ParameterSet(recipe.declarations)
+        problems.append(df.Problem(runner, asked, loss, context=context, temperature=0.02))
+    parameters = df.ParameterSet(recipe.declarations)
     search = torch.optim.LBFGS(
         parameters.parameters(),
         max_iter=STEPS,
@@ -105,7 +97,7 @@ def tuned(recipe: df.Filter, logs: list[df.Log], way: str, score: Score | str) -
 
     def closure() -> Tensor:
         search.zero_grad()
-        total = torch.stack([objective(p, parameters.values())[0] for p in problems]).mean()
+        total = torch.stack([df.objective(p, parameters.values())[0] for p in problems]).mean()
         total.backward()
         return total
 
@@ -130,7 +122,7 @@ def main(paths: list[str]) -> None:
                 log = ready[held]
                 track = df.run(recipe, log, values)
                 smooth = df.smooth(recipe, log, values)
-                nees = mean_directions(log, track, scored_rows(log, track, scenario.score))
+                nees = df.mean_directions(log, track, df.scored_rows(log, track, scenario.score))
                 axes = [f"{x:.2f}" for name, x in nees.items() if name.startswith("position")]
                 rmse = [f"{float(df.rmse(log, x, scenario.score)):.3f}" for x in (track, smooth)]
                 print("|", " | ".join([model, way, held, *rmse, *axes]), "|", flush=True)
