@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -116,11 +117,19 @@ class Form:
         layout: of one table, and what the sources share.
         sources: the files; empty for one table.
         gap: seconds between two samples over which inputs and truth are interpolated.
+        first, last: seconds after the log's first row between which rows are kept, the last
+            one not included: parts of one recording share no row.
     """
 
     layout: Layout = field(default_factory=Layout)
     sources: tuple[Source, ...] = ()
     gap: float | None = None
+    first: float = 0.0
+    last: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.first < self.last:
+            raise InputError(f"log: from: found {self.first:g}, expected less than {self.last:g}")
 
 
 #: What ``difffilter import`` and ``difffilter simulate`` write.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,9 +58,10 @@ def reading(
     if not form.sources or path.is_file():
         layout = form.layout
         table = read_table(path, layout.separator, layout.decimal)
-        return read_table_as_log(
+        read = read_table_as_log(
             table, layout, channels, inputs, bounds, optional=optional, name=path.stem
         )
+        return read if table.plain else _span(read, form)
     sheets = []
     for source in form.sources:
         place = path.parent / source.file.replace("{run}", path.name)
@@ -75,7 +77,26 @@ def reading(
             raise LogError(f"{path}: found no {name!r} in any of {files}")
     sheet = dropped(sheet, [name for name in inputs if name in sheet.columns])
     relative = {c: i for s in form.sources for c, i in s.layout.relative.items()}
-    return _log(sheet, relative, channels, inputs, form.sources[0].layout, path.name)
+    read = _log(sheet, relative, channels, inputs, form.sources[0].layout, path.name)
+    return _span(read, form)
+
+
+def _span(read: Reading, form: Form) -> Reading:
+    """The rows between the form's first and last second, from the first row on."""
+    if form.first == 0.0 and form.last == math.inf:
+        return read
+    since = read.log.time - read.log.time[0]
+    keep = torch.nonzero((since >= form.first) & (since < form.last)).flatten()
+    where = read.log.names[0]
+    if not len(keep):
+        raise LogError(
+            f"{where}: found no row from {form.first:g} to {form.last:g} s after the first, "
+            f"expected from and until within its {float(since[-1]):.6g} s"
+        )
+    kept = read.log.rows(int(keep[0]), int(keep[-1]) + 1)
+    note = f"{where}: {kept.steps} of {read.log.steps} rows, from {form.first:g} s"
+    note += f" until {form.last:g} s" if form.last < math.inf else ""
+    return replace(read, log=kept, told=(*read.told, note))
 
 
 ANGLES = ("rad", "mrad", "deg")

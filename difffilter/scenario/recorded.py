@@ -14,8 +14,9 @@ from difffilter.logs.layout import Bound, Form
 from difffilter.logs.log import Log, stack_logs
 from difffilter.logs.reading import Reading, reading
 from difffilter.motions.blocks import ConstantVelocity
+from difffilter.scenario.document import apply_overrides
 from difffilter.scenario.pooling import pooled
-from difffilter.scenario.scenario import Scenario
+from difffilter.scenario.scenario import Scenario, read_scenario
 from difffilter.sensors.builtin import Range, StationSensor
 
 __all__ = ["bounds", "load_logs", "read_run", "scenario_of_run"]
@@ -25,10 +26,11 @@ TURN = math.tau * (1 + 1e-12)
 
 
 def scenario_of_run(scenario: Scenario, run: str) -> Scenario:
-    """The scenario with the overrides of ``[runs.RUN]``; itself where there are none."""
+    """The scenario with the overrides of ``[runs.RUN]``, without runs; itself without such."""
     if run not in scenario.runs:
         return scenario
-    return scenario.with_overrides(scenario.runs[run])
+    alone = {key: value for key, value in scenario.document.items() if key != "runs"}
+    return read_scenario(apply_overrides(alone, scenario.runs[run]), scenario.path)
 
 
 def load_logs(scenario: Scenario, paths: Sequence[str | Path], run: str | None = None) -> Log:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 from difffilter.errors import InputError
@@ -15,9 +17,11 @@ __all__ = ["read_form"]
 def read_form(table: Table) -> Form:
     """Read ``[log]``, and ``[log.files.NAME]`` of a log in several files."""
     gap = table.number("gap", None, above=0.0)
+    first = table.number("from", 0.0, low=0.0)
+    last = table.number("until", None, above=first)
     files = table.table("files", optional=True)
     shared = _keywords(table)
-    form = Form(_layout(table, shared), (), gap)
+    form = Form(_layout(table, shared), (), gap, first, math.inf if last is None else last)
     sources = []
     for name, part in files.children():
         file = part.text("file")
@@ -29,7 +33,7 @@ def read_form(table: Table) -> Form:
         sources.append(Source(name, file, _layout(part, {**shared, **own})))
         part.finish()
     table.finish()
-    return Form(form.layout, tuple(sources), gap)
+    return replace(form, sources=tuple(sources))
 
 
 def _keywords(table: Table) -> dict[str, Any]:
