@@ -55,9 +55,7 @@ def test_parts_share_no_row_and_lose_none(recording: Path) -> None:
 
 def test_a_part_without_rows_is_an_error(recording: Path) -> None:
     scenario = load_scenario(recording / "parts.toml")
-    with pytest.raises(
-        LogError, match=r"found no row from 90 to inf s after the first.* its 4 s"
-    ):
+    with pytest.raises(LogError, match=r"found no row from 90 to inf s after the first.* its 4 s"):
         load_logs(scenario, [recording / "nothing"])
     with pytest.raises(InputError, match=r"log\.until: found 1\.0, expected a number above 3"):
         scenario.with_overrides({"log.from": 3.0, "log.until": 1.0})
