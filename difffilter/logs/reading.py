@@ -58,17 +58,17 @@ def reading(
     if not form.sources or path.is_file():
         layout = form.layout
         table = read_table(path, layout.separator, layout.decimal)
-        read = read_table_as_log(
+        single = read_table_as_log(
             table, layout, channels, inputs, bounds, optional=optional, name=path.stem
         )
-        return read if table.plain else _span(read, form)
+        return single if table.plain else _span(single, form)
     sheets = []
     for source in form.sources:
         place = path.parent / source.file.replace("{run}", path.name)
         layout = source.layout
         table = read_table(place, layout.separator, layout.decimal)
-        read = read_sheet(table, layout, (*channels, *inputs), (), bounds)
-        sheets.append(sorted_sheet(read, layout))
+        sheet = read_sheet(table, layout, (*channels, *inputs), (), bounds)
+        sheets.append(sorted_sheet(sheet, layout))
     angles = [n for s in form.sources for n, unit in s.layout.units.items() if unit in ANGLES]
     sheet = merged(sheets, channels, angles, form.gap)
     for name in (*channels, *inputs):
@@ -77,8 +77,8 @@ def reading(
             raise LogError(f"{path}: found no {name!r} in any of {files}")
     sheet = dropped(sheet, [name for name in inputs if name in sheet.columns])
     relative = {c: i for s in form.sources for c, i in s.layout.relative.items()}
-    read = _log(sheet, relative, channels, inputs, form.sources[0].layout, path.name)
-    return _span(read, form)
+    joined = _log(sheet, relative, channels, inputs, form.sources[0].layout, path.name)
+    return _span(joined, form)
 
 
 def _span(read: Reading, form: Form) -> Reading:
