@@ -153,15 +153,16 @@ class Log(Rows):
         """The trajectories at ``index`` (a batched log)."""
         at = torch.as_tensor(index, dtype=torch.long)
         start = self.start
-        if start is not None:
-            covariance = None if start.covariance is None else start.covariance[at]
+        if start is not None and start.mean.dim() > 1:  # else one for all
+            one = start.covariance
+            covariance = one if one is None or one.dim() < 3 else one[at]
             start = Start(start.mean[at], covariance, start.time)
         return replace(
             self,
             time=self.time if self.time.dim() == 1 else self.time[:, at],
             z=self.z[:, at],
             truth=None if self.truth is None else self.truth[:, at],
-            inputs={name: value[:, at] for name, value in self.inputs.items()},
+            inputs={n: v[:, at] if v.dim() > 1 else v for n, v in self.inputs.items()},
             start=start,
             names=tuple(self.names[i] for i in at.tolist()) if self.names else (),
         )

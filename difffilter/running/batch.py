@@ -160,7 +160,9 @@ def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:
         raise InputError(
             f"start: found mean of shape {list(start.mean.shape)}, expected {[*lead, n]}"
         ) from None
-    return Belief(mean, start.deviations.expand(*lead, n, -1), start.memory)
+    # Of memory of their own: derivatives along a column cannot be taken of repeated numbers.
+    deviations = start.deviations.expand(*lead, n, -1).contiguous()
+    return Belief(mean.contiguous(), deviations, start.memory)
 
 
 def check_finite(track: Track, before: int = 0) -> None:

@@ -39,9 +39,9 @@ MANOEUVRE = {"manoeuvre-fusion-1": "turns", "manoeuvre-fusion-2": "turns, bad me
 RUNS = ("los_A1", "los_A2", "nlos_A1", "nlos_A2")
 
 
-def put(page: Path, name: str, text: str) -> None:
+def put(page: Path, name: str, text: str, script: str = "docs/make/readme.py") -> None:
     """Replace what stands between a page's two markers of that name."""
-    begin, end = f"<!-- {name}: written by docs/make/readme.py -->", f"<!-- end of {name} -->"
+    begin, end = f"<!-- {name}: written by {script} -->", f"<!-- end of {name} -->"
     before, found, rest = page.read_text().partition(begin)
     _, closed, after = rest.partition(end)
     if not (found and closed):

@@ -145,6 +145,8 @@ def test_examples_run(
                 if line.startswith("$ difffilter "):
                     done = process(*shlex.split(line)[2:], cwd=tmp_path)
                     assert done.returncode == 0, f"{page.name}: {line}\n{done.stderr}"
+        elif block.language == "python" and (own := re.match(r"# (\w+\.py)\n", block.text)):
+            (tmp_path / own[1]).write_text(block.text, encoding="utf-8")
         elif block.language == "python":
             source = "\n" * block.line + block.text  # so that a traceback has the page's lines
             exec(compile(source, str(page), "exec", dont_inherit=True), vars(module))
