@@ -24,6 +24,7 @@ examples:
   difffilter compare airport-mlat --values published --values mine.json
   difffilter compare airport-mlat --system ekf --system m-ekf --trajectories 50 --json
   difffilter compare airport-mlat --values published --values mine.json --worlds
+  difffilter compare airport-mlat --system told --values published --values mine.json
   difffilter compare uwb-ranges --log los_A1.csv los_A2.csv
 
 Published values run every system; a checkpoint runs its own. RMSE and ratios have 95 %
@@ -47,7 +48,12 @@ def add(commands: Commands) -> None:
         action="append",
         help=f"{HELP} (repeatable; published, and tuned if the package has it)",
     )
-    parser.add_argument("--system", metavar="NAME", action="append", help="only this (repeatable)")
+    parser.add_argument(
+        "--system",
+        metavar="NAME",
+        action="append",
+        help="only this (repeatable); told: those that are told of every fault",
+    )
     parser.add_argument("--trajectories", type=whole(1), help=f"how many ({TRAJECTORIES})")
     parser.add_argument("--seed", type=whole(0), help=f"of the held-out trajectories ({SEED})")
     parser.add_argument(
@@ -125,12 +131,14 @@ def _worlds(
     options: dict[str, Any],
 ) -> int:
     """Compare in every world, print, write."""
+    from difffilter.comparison.comparison import resolved
     from difffilter.comparison.worlds import compare_worlds
     from difffilter.scenario.scenario import Scenario
 
     if not isinstance(scenario, Scenario):
         raise InputError(f"--worlds: found {scenario.name}, expected a scenario with [[worlds]]")
-    found = compare_worlds(scenario, values, systems=tuple(args.system or ()), **options)
+    asked = resolved(scenario, args.system or ())
+    found = compare_worlds(scenario, values, systems=asked, **options)
     as_json, text = json_text(found.as_dict()), found.markdown()
     if args.out:
         write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
@@ -144,12 +152,15 @@ def _worlds(
 
 def _systems(scenario: Case, args: Namespace) -> tuple[str, ...]:
     """The systems that were asked for; by default all that the data can serve."""
-    for name in args.system or ():
+    from difffilter.comparison.comparison import resolved
+
+    asked = resolved(scenario, args.system or ())
+    for name in asked:
         scenario.system(name)
         if args.log:
             not_clairvoyant(scenario, name)
-    if args.system:
-        return tuple(args.system)
+    if asked:
+        return asked
     return tuple(n for n, spec in scenario.systems.items() if not (args.log and spec.clairvoyant))
 
 
@@ -157,6 +168,8 @@ def _values(
     scenario: Case, labels: list[str] | None, systems: tuple[str, ...]
 ) -> dict[str, Checkpoint | None]:
     """Checkpoints by label: those asked for must fit, the package's own one may."""
+    from difffilter.comparison.comparison import told_by
+
     if labels is None:
         values: dict[str, Checkpoint | None] = {"published": None}
         if own_checkpoint(scenario).is_file():
@@ -165,14 +178,14 @@ def _values(
             problem = unfit(own, scenario, own.system) if own.system in scenario.systems else ""
             if problem:
                 note(f"the package's tuned values are left out: {problem}")
-            elif own.system in systems:
+            elif own.system in systems or told_by(scenario, systems, own):
                 values["tuned"] = own
         return values
     values = {label: read_values(label, scenario) for label in labels}
     for label, checkpoint in values.items():
         if checkpoint is None:
             continue
-        if checkpoint.system not in systems:
+        if checkpoint.system not in systems and not told_by(scenario, systems, checkpoint):
             raise InputError(
                 f"--values {label}: tuned for system {checkpoint.system}, "
                 f"expected one of {', '.join(systems)}"

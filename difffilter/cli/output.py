@@ -57,13 +57,12 @@ def comparison_text(comparison: Comparison, scenario: Case) -> str:
     """The comparison's table, and what its reference and its bound are."""
     system, values = comparison.reference.rsplit(" ", 1)
     legend = f"Ratios: RMSE divided by that of {system} with {values} values, same trajectories."
-    bounds = [
-        name
-        for name in dict.fromkeys(row.system for row in comparison.rows)
-        if scenario.systems[name.removesuffix(" smoothed")].clairvoyant
-    ]
-    if bounds:
-        told = "told of every fault, with published noise: to aim at, not to deploy"
-        legend += f" {' and '.join(bounds)}: {told}."
+    told = {
+        row.system: ", with published noise no bound" if row.values == "published" else ""
+        for row in reversed(comparison.rows)
+        if scenario.systems[row.system.removesuffix(" smoothed")].clairvoyant
+    }
+    for name, note in told.items():
+        legend += f" {name}: told of every fault, to aim at, not to deploy{note}."
     legend += " NEES per state and NIS per channel: 1 where errors are as large as claimed."
     return f"{comparison.markdown()}\n{legend}\n"

@@ -25,7 +25,21 @@ from difffilter.scenario.model import as_case
 from difffilter.scenario.simulation import simulate
 from difffilter.scenario.sources import Logs, as_log
 
-__all__ = ["Comparison", "Contestant", "Row", "compare", "contestants", "run_all", "unsmoothable"]
+__all__ = [
+    "TOLD",
+    "Comparison",
+    "Contestant",
+    "Row",
+    "compare",
+    "contestants",
+    "resolved",
+    "run_all",
+    "told_by",
+    "unsmoothable",
+]
+
+#: Stands for the systems of a scenario that are told of every fault.
+TOLD = "told"
 
 
 class Contestant(NamedTuple):
@@ -62,11 +76,12 @@ def compare(
     Args:
         scenario: the world, or recorded logs' geometry.
         values: label to checkpoint; None (conventionally ``published``) runs every system
-            with its published values. Default: published alone.
+            with its published values. Default: published alone. Where ``systems`` leaves out
+            a checkpoint's own, its values run those of them that are told of every fault.
         trajectories, seed: of the simulated held-out trajectories, disjoint from training
             and validation whatever the seed.
         log: recorded logs in place of simulated ones.
-        systems: only these; all if empty.
+        systems: only these; all if empty. ``told``: those that are told of every fault.
         engine: of the filters, as for :func:`difffilter.run`.
         smooth: a row ``SYSTEM smoothed`` beside each system that :func:`difffilter.smooth`
             takes, from its whole log.
@@ -76,6 +91,7 @@ def compare(
             a log without truth; with ``smooth`` no system that can be smoothed.
     """
     scenario = as_case(scenario)
+    systems = resolved(scenario, systems)
     chosen = contestants(scenario, {"published": None} if values is None else values, systems)
     held_out = (
         simulate(scenario, trajectories, seed, "test") if log is None else as_log(scenario, log)
@@ -158,6 +174,35 @@ def unsmoothable(system: System) -> str:
     return ""
 
 
+def resolved(scenario: Case, systems: Sequence[str]) -> tuple[str, ...]:
+    """The names, and for ``told`` those of the systems that are told of every fault.
+
+    Raises:
+        InputError: ``told`` of a scenario without such a system.
+    """
+    if TOLD not in systems or TOLD in scenario.systems:
+        return tuple(systems)
+    told = [name for name, spec in scenario.systems.items() if spec.clairvoyant]
+    if not told:
+        raise InputError(
+            f"system told: {scenario.name} has none that is told of its faults, expected one of "
+            f"{', '.join(scenario.systems)}"
+        )
+    named = [told if name == TOLD else [name] for name in systems]
+    return tuple(dict.fromkeys(name for part in named for name in part))
+
+
+def told_by(scenario: Case, systems: Sequence[str], checkpoint: Checkpoint) -> list[str]:
+    """Those of the systems that are told of every fault and have no value but the checkpoint's."""
+    found = []
+    for name in systems:
+        if scenario.systems[name].clairvoyant:
+            system = scenario.system(name)
+            if set(system.declarations) <= set(checkpoint.values):
+                found.append(name)
+    return found
+
+
 def contestants(
     scenario: Case, values: Mapping[str, Checkpoint | None], systems: tuple[str, ...]
 ) -> list[Contestant]:
@@ -182,9 +227,13 @@ def contestants(
                 f"values {label}: tuned for {checkpoint.scenario.name}, does not fit system "
                 f"{checkpoint.system} of {scenario.name} (parameters {differing})"
             )
-        chosen.append(
-            Contestant(checkpoint.system, label, recipe, checkpoint.values, checkpoint.temperature)
-        )
+        names = [checkpoint.system]
+        if systems and checkpoint.system not in systems:
+            names = told_by(scenario, systems, checkpoint) or names
+        for name in names:
+            recipe = scenario.system(name)
+            values_of = {n: checkpoint.values[n] for n in recipe.declarations}
+            chosen.append(Contestant(name, label, recipe, values_of, checkpoint.temperature))
     if not chosen:
         raise InputError("values: found none, expected published or a checkpoint")
     return chosen

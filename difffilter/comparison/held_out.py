@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,10 +19,16 @@ from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
 from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import estimate, started
+from difffilter.scoring.differences import scored_unit
 from difffilter.scoring.directions import mean_directions
 from difffilter.scoring.metrics import mean_nees, paired_ratio, scored_rows, squared_error
 
-__all__ = ["HeldOut", "Outcome"]
+__all__ = ["HeldOut", "Outcome", "as_it_is"]
+
+
+def as_it_is(log: Log) -> Log:
+    """The log."""
+    return log
 
 
 @dataclass(frozen=True)
@@ -30,9 +37,9 @@ class Outcome:
 
     Attributes:
         track: of the whole log.
-        squared: (T, ...), squared position errors, m^2.
+        squared: (T, ...), squared errors of the scored states (the position's, m^2).
         rows: (T, ...), those that count.
-        rmse: position root mean square error, m.
+        rmse: their root mean square error; unit: of that error, empty for several.
         nees: mean NEES per state, 1 expected.
         directions: mean NEES along each principal direction of P, 1 expected.
     """
@@ -43,6 +50,7 @@ class Outcome:
     rmse: float
     nees: float
     directions: Mapping[str, float] = field(default_factory=dict)
+    unit: str = "m"
 
     def ratio(self, to: Outcome) -> tuple[float, float, float]:
         """RMSE divided by that of another, over the rows of both, with its 95 % interval."""
@@ -51,7 +59,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """A log with truth that nobody tuned on, and who runs over it.
+    """A log with truth that nobody tuned on, and who runs over it; no run is made twice.
 
     Attributes:
         scenario: says how a run starts and which rows count.
@@ -66,6 +74,7 @@ class HeldOut:
     log: Log
     temperature: float | None = None
     engine: str = "auto"
+    _known: dict[Any, Outcome] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def chosen(self) -> str:
@@ -79,7 +88,7 @@ class HeldOut:
         return settled(self.engine, trial, math.inf)
 
     def outcome(
-        self, values: Values | None = None, start: Callable[[Log], Log] = lambda log: log
+        self, values: Values | None = None, start: Callable[[Log], Log] = as_it_is
     ) -> Outcome:
         """Run with some values (the published ones if None), started as they start.
 
@@ -90,6 +99,12 @@ class HeldOut:
             InputError: a log without truth.
         """
         values = self.filter.published() if values is None else values
+        numbers = tuple(tuple(values[name].reshape(-1).tolist()) for name in sorted(values))
+        if (numbers, start) not in self._known:
+            self._known[numbers, start] = self._run(values, start)
+        return self._known[numbers, start]
+
+    def _run(self, values: Values, start: Callable[[Log], Log]) -> Outcome:
         ready = start(started(self.scenario, self.filter, self.log, values))
         with torch.no_grad():
             track = estimate(
@@ -99,4 +114,12 @@ class HeldOut:
         squared = squared_error(self.log, track, self.scenario.score)
         error = float(squared[rows].mean().sqrt())
         nees = float(mean_nees(self.log, track, rows))
-        return Outcome(track, squared, rows, error, nees, mean_directions(self.log, track, rows))
+        return Outcome(
+            track=track,
+            squared=squared,
+            rows=rows,
+            rmse=error,
+            nees=nees,
+            directions=mean_directions(self.log, track, rows),
+            unit=scored_unit(self.log, track, self.scenario.score),
+        )

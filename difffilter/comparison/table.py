@@ -26,7 +26,7 @@ from difffilter.scoring.metrics import (
     state_rmse,
 )
 
-__all__ = ["Comparison", "Row", "Scene", "tabulate"]
+__all__ = ["Comparison", "Row", "Scene", "labelled", "tabulate"]
 
 
 class Scene(Protocol):
@@ -120,9 +120,9 @@ class Comparison:
     def cells(self) -> tuple[list[str], list[list[str]]]:
         """Head and rows of the table, as they are shown."""
         scenes = list(self.rows[0].per_scene) if self.rows else []
-        unit = f" ({self.unit})" if self.unit else ""
         head = [
-            "system", "values", f"RMSE{unit}", "95 % interval", f"median run{unit}",
+            "system", "values", labelled("RMSE", self.unit), "95 % interval",
+            labelled("median run", self.unit),
             f"ratio to {self.reference}", "NEES per state", "NIS per channel", *scenes,
         ]  # fmt: skip
         rows = []
@@ -152,6 +152,16 @@ class Comparison:
             for row in self.rows
         ]
         return "\n".join(markdown_table(["system", "values", *names], cells)) + "\n"
+
+
+def labelled(what: str, unit: str) -> str:
+    """The head of a column with its unit; alone where there is none, or several.
+
+    Example:
+        >>> labelled("RMSE", "m"), labelled("RMSE", "")
+        ('RMSE (m)', 'RMSE')
+    """
+    return f"{what} ({unit})" if unit else what
 
 
 def _digits(value: float | None) -> str:

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from difffilter.comparison.comparison import Contestant, contestants, run_all
-from difffilter.comparison.table import Comparison, Row, tabulate
+from difffilter.comparison.comparison import Contestant, contestants, resolved, run_all
+from difffilter.comparison.table import Comparison, Row, labelled, tabulate
 from difffilter.errors import InputError
 from difffilter.escape import markdown_table
 from difffilter.logs.family import Family, Member
@@ -63,9 +63,10 @@ class Worlds:
 
     def markdown(self) -> str:
         """One table: a row for each world, system and set of values."""
+        unit = next(iter(self.comparisons.values())).unit
         head = [
-            "world", "system", "values", "RMSE (m)", "ratio to published", "95 % interval",
-            "NEES per state", "allowed",
+            "world", "system", "values", labelled("RMSE", unit), "ratio to published",
+            "95 % interval", "NEES per state", "allowed",
         ]  # fmt: skip
         rows = []
         for member in self.family:
@@ -105,7 +106,7 @@ def compare_worlds(
     """
     values = {"published": None} if values is None else dict(values)
     frozen = {checkpoint.system for checkpoint in values.values() if checkpoint is not None}
-    systems = systems or tuple(frozen or {scenario.tuning.system})
+    systems = resolved(scenario, systems) or tuple(frozen or {scenario.tuning.system})
     return compare_family(
         family(scenario, log),
         contestants(scenario, {"published": None} | values, systems),

@@ -7,6 +7,7 @@ from statistics import median
 
 from tqdm import tqdm
 
+from difffilter.comparison.table import labelled
 from difffilter.logs.log import Log
 from difffilter.reports.report import Report
 from difffilter.tuning.search import SEARCHES, available
@@ -49,8 +50,8 @@ def write_contest(
         [c.name, c.outcome.rmse, *_ratio(c.outcome.ratio(found[0].outcome)), c.outcome.nees]
         for c in found
     ]
-    head = ["what is estimated, and how", "RMSE (m)", "ratio to published", "95 % interval",
-            "NEES per state"]  # fmt: skip
+    head = ["what is estimated, and how", labelled("RMSE", case.published.unit),
+            "ratio to published", "95 % interval", "NEES per state"]  # fmt: skip
     report.table(f"{case.slug} gain", head, rows)
 
     if SAMPLE not in [contender.name for contender in found]:
@@ -94,7 +95,7 @@ def _table(report: Report, case: Case, courses: Sequence[Course]) -> None:
             late = median(c.seconds[-1] / gradient[c.seed].seconds[-1] for c in own)
             words.append(f"{method} ends {_beside(final - best)} after {late:.1f} times the time")
     head = ["method", "filter runs", "seconds", "loss published", "loss at the gradient's time",
-            "loss at the end", "RMSE at the end (m)"]  # fmt: skip
+            "loss at the end", labelled("RMSE at the end", case.published.unit)]  # fmt: skip
     report.table(f"{case.slug} contest", head, rows)
     if words:
         report.text(f"Against the gradient, with as many filter runs: {'; '.join(words)}.")

@@ -97,12 +97,14 @@ def gather(
     found = red_flags(checkpoint, held, (before, after))
     found += _memory(checkpoint, held, train, table, trajectories)
     tried = conditions(held, seed, trajectories=min(trajectories, 100))
-    results = [stressed(held, one, checkpoint.values) for one in tried]
-    cures = {
-        one.name: _cure(checkpoint, held, condition)
-        for one, condition in zip(results, tried, strict=True)
-        if one.decisive and harmful(one)
-    }
+    results: list[Stressed] = []
+    cures: dict[str, tuple[str, ...]] = {}
+    for condition in tried:
+        there = under(held, condition)
+        one = stressed(there, condition, checkpoint.values)
+        results.append(one)
+        if one.decisive and harmful(one):
+            cures[one.name] = _cure(checkpoint, there, condition)
     merged = red.merged(found)
     made = grade(table.rows[0], table.rows[1], merged, results, cures)
     return Evidence(
@@ -218,12 +220,11 @@ def _memory(
     return red.memory_flags(ratio, (row.ratio, *row.ratio_ci95))
 
 
-def _cure(checkpoint: Checkpoint, held: HeldOut, condition: Condition) -> tuple[str, ...]:
+def _cure(checkpoint: Checkpoint, there: HeldOut, condition: Condition) -> tuple[str, ...]:
     """The one tuned value that, as published, avoids a harmful condition best; none if none."""
-    there = under(held, condition)
     published = there.outcome(None, condition.start)
     best: tuple[float, tuple[str, ...]] = (1.1, ())
-    for name, parameter in held.filter.declarations.items():
+    for name, parameter in there.filter.declarations.items():
         same = bool((parameter.tensor() == checkpoint.values[name]).all())
         if not parameter.tuned or same:
             continue

@@ -128,7 +128,8 @@ def grade(
 
 
 def _term(one: Stressed, keep: tuple[str, ...]) -> Term:
-    cost = f"RMSE {one.tuned:.3g} m, published {one.published:.3g} m"
+    error = [f"{value:.3g} {one.unit}".rstrip() for value in (one.tuned, one.published)]
+    cost = f"RMSE {error[0]}, published {error[1]}"
     wrong = misled(one)
     if wrong:
         name, (before, after) = max(wrong.items(), key=lambda item: item[1][1])

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from difffilter.comparison.comparison import compare
+from difffilter.comparison.table import labelled
 from difffilter.logs.log import Log
 from difffilter.reports.figures.world import world_figure
 from difffilter.reports.report import Report
@@ -80,10 +81,11 @@ def verdict(
 
 def summary(found: Evidence) -> list[tuple[str, str]]:
     """The first screen: gain, consistency by direction, worst condition, what to do."""
-    before, after = found.table.rows
+    after = found.table.rows[1]
+    error = [f"{_short(row.rmse, 3)} {found.table.unit}".rstrip() for row in found.table.rows]
     low, high = after.ratio_ci95
     rows = [
-        ("RMSE held out", f"{_short(before.rmse, 3)} m published, {_short(after.rmse, 3)} m tuned: "
+        ("RMSE held out", f"{error[0]} published, {error[1]} tuned: "
          f"ratio {after.ratio:.3f} (95 %: {low:.3f} to {high:.3f})"),
         ("NEES by direction", _listed(found.tuned.directions) + " (1 is right; published "
          + _listed(found.published.directions, names=False) + ")"),
@@ -213,7 +215,8 @@ def _directions(report: Report, case: Case, found: Evidence) -> None:
 
 
 def _stress(report: Report, case: Case, found: Sequence[Stressed]) -> None:
-    head = ["condition", "plausible", "published (m)", "tuned (m)", "tuned / published",
+    errors = [labelled(name, case.published.unit) for name in ("published", "tuned")]
+    head = ["condition", "plausible", *errors, "tuned / published",
             "95 % interval", "NEES published", "NEES tuned", "largest NEES along a direction",
             "counts"]  # fmt: skip
     rows = [

@@ -106,9 +106,10 @@ def _clean(report: Report, case: Case, seed: int) -> None:
         text += " Clean: empty, nobody can take the faults out of a recording."
     else:
         error = [other.outcome(v).rmse for v in (None, case.checkpoint.values)]
+        unit = f" {case.published.unit}".rstrip()
         text += (
             " Clean: the same world without faults, where the RMSE is "
-            f"{error[0]:.3g} m published and {error[1]:.3g} m tuned."
+            f"{error[0]:.3g}{unit} published and {error[1]:.3g}{unit} tuned."
         )
     report.text(text)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from difffilter.comparison.held_out import HeldOut
+from difffilter.comparison.held_out import HeldOut, as_it_is
 from difffilter.errors import InputError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
@@ -48,8 +48,8 @@ class Condition:
     monitor: str
     plausible: str = NOT_STATED
     decisive: bool = True
-    log: Callable[[Log], Log] = lambda log: log
-    start: Callable[[Log], Log] = lambda log: log
+    log: Callable[[Log], Log] = as_it_is
+    start: Callable[[Log], Log] = as_it_is
     case: Case | None = None
 
 
@@ -59,7 +59,7 @@ class Stressed:
 
     Attributes:
         name, text, monitor, plausible, decisive: of the :class:`Condition`.
-        published, tuned: position RMSE, m; nees: of both, per state.
+        published, tuned: RMSE of the scored states, in ``unit``; nees: of both, per state.
         ratio: tuned / published, with its paired 95 % interval.
         directions: NEES of published and tuned along each principal direction of P.
     """
@@ -74,6 +74,7 @@ class Stressed:
     nees: tuple[float, float]
     ratio: tuple[float, float, float]
     directions: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    unit: str = "m"
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -109,12 +110,15 @@ def stress(held: HeldOut, tuned: Values, found: list[Condition] | None = None) -
         found: conditions; by default all that :func:`conditions` finds.
     """
     for condition in conditions(held) if found is None else found:
-        yield stressed(held, condition, tuned)
+        yield stressed(under(held, condition), condition, tuned)
 
 
-def stressed(held: HeldOut, condition: Condition, tuned: Values) -> Stressed:
-    """Published and tuned values under one condition, over the rows that both have."""
-    there = under(held, condition)
+def stressed(there: HeldOut, condition: Condition, tuned: Values) -> Stressed:
+    """Published and tuned values under one condition, over the rows that both have.
+
+    Args:
+        there: the data as the condition changes them (see :func:`under`).
+    """
     published, other = (there.outcome(v, condition.start) for v in (None, tuned))
     both = published.rows & other.rows
     error = [float(x.squared[both].mean().sqrt()) for x in (published, other)]
@@ -126,6 +130,7 @@ def stressed(held: HeldOut, condition: Condition, tuned: Values) -> Stressed:
             name: (published.directions.get(name, math.nan), value)
             for name, value in other.directions.items()
         },
+        unit=published.unit,
     )  # fmt: skip
 
 
@@ -153,9 +158,9 @@ def conditions(held: HeldOut, seed: int = 0, trajectories: int = 100) -> list[Co
         few = lambda log: log  # noqa: E731
     found += _manoeuvres(held, few(held.log))
     for name, text, monitor, make, level in CONDITIONS:
-        changing = _changing(make, filter, few, level, seed)
-        if not torch.equal(changing(held.log).z.nan_to_num(), few(held.log).z.nan_to_num()):
-            found.append(Condition(name, text, monitor, log=changing))
+        changed_log = make(filter, few(held.log), level, seed)
+        if not torch.equal(changed_log.z.nan_to_num(), few(held.log).z.nan_to_num()):
+            found.append(Condition(name, text, monitor, log=_always(changed_log)))
     found.append(
         Condition("start off", "a start off by three sigmas in every state",
                   "NIS in the first rows", log=few,
@@ -164,19 +169,9 @@ def conditions(held: HeldOut, seed: int = 0, trajectories: int = 100) -> list[Co
     if not (isinstance(held.scenario, Scenario) and held.scenario.faults):
         for share, name in OUTLIERS:
             text = f"{100 * share:g} % of the measurements off by 5 to 20 sigmas"
-            wild = _changing(change.wilder, filter, few, share, seed)
+            wild = _always(change.wilder(filter, few(held.log), share, seed))
             found.append(Condition(name, text, MONITOR_FAULTS, decisive=False, log=wild))
     return found
-
-
-def _changing(
-    make: Callable[[Recipe, Log, float, int], Log],
-    filter: Recipe,
-    few: Callable[[Log], Log],
-    level: float,
-    seed: int,
-) -> Callable[[Log], Log]:
-    return lambda log: make(filter, few(log), level, seed)
 
 
 def _manoeuvres(held: HeldOut, log: Log) -> list[Condition]:
