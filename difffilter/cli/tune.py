@@ -211,6 +211,12 @@ def _ended(training: Mapping[str, Any]) -> list[str]:
         cap = "steps" if end == "steps" else "filter runs"
         limit = training["settings"][end]
         lines.append(f"warning: ended at its cap of {limit:g} {cap}, before it converged")
+    guards = training.get("guards")
+    if guards is not None and guards["share"] < 1.0:
+        lines.append(
+            f"held to its guards: {guards['share']:g} of the way from the published values, since "
+            f"world {guards['worst']} would err by up to {guards['upper']:.3f} of published"
+        )
     if "validation" in training:
         lines.append(f"validated on what was {training['validation']}")
     return lines

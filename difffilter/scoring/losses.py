@@ -36,6 +36,8 @@ __all__ = [
 
 #: A scene that gets worse costs eight times what its mean of four scenes gains.
 HINGE = 2.0
+#: Log of an RMSE ratio within which a member's hinge is round: 1 %.
+ROUND = 0.01
 #: Input that ``scenes`` and ``worlds`` read beside the rows: squared errors to compare with.
 REFERENCE = "reference.squared"
 #: Inputs that ``worlds`` reads: membership, and this times weight and what is allowed.
@@ -132,8 +134,14 @@ def _innovation_consistency_rows(track: Track, log: Rows, context: LossContext) 
 
 
 def _hinges(squared: Tensor, largest: Tensor) -> Tensor:
-    """What scenes or members cost whose squared errors are larger than they may be."""
+    """What scenes cost whose squared errors are larger than they may be."""
     return HINGE * (0.5 * (squared / largest).log()).clamp_min(0.0).sum()
+
+
+def _smooth_hinges(squared: Tensor, largest: Tensor) -> Tensor:
+    """The same of members, round within about ``ROUND``: with a kink no second-order step ends."""
+    over = 0.5 * (squared / largest).log()
+    return HINGE * 0.5 * (over + (over.square() + ROUND**2).sqrt()).sum()
 
 
 def _scenes(sums: Tensor) -> Tensor:
@@ -149,7 +157,7 @@ def _worlds(sums: Tensor) -> Tensor:
     squared, reference = squared[seen], reference[seen]
     weight, allow = weight[seen] / reference, allow[seen] / reference
     gain = (weight * 0.5 * (squared / reference).log()).sum() / weight.sum()
-    return gain + _hinges(squared, reference * allow.square())
+    return gain + _smooth_hinges(squared, reference * allow.square())
 
 
 def _worlds_slopes(slope: Tensor, inputs: Mapping[str, Tensor]) -> Tensor:

@@ -148,6 +148,11 @@ def _search(
     finally:
         board.close()
     settings, best = task.settings, course.best
+    guards: dict[str, Any] = {}
+    if "worlds" in settings.loss:
+        held = task.held_to_guards(best.values)
+        guards = {"guards": {"share": held.share, "worst": held.worst, "upper": held.upper}}
+        best = best._replace(values=held.values)
     drawn = f"{settings.trajectories} simulated"
     training = {
         "loss": dict(settings.loss),
@@ -161,6 +166,7 @@ def _search(
         "step": best.step,
         "start": best.start,
         "end": course.end,
+        **guards,
     }
     if task.check.told:
         training["validation"] = task.check.told
@@ -168,7 +174,7 @@ def _search(
     if known is not None:
         training["standard_errors"] = known.errors
         training["undetermined"] = list(known.free)
-    return course, training
+    return course._replace(best=best), training
 
 
 def _sources(case: Case, train: Logs | Simulator | None) -> tuple[Case, Logs | None]:

@@ -15,6 +15,7 @@ from difffilter.engine.choice import eager_seconds, settled
 from difffilter.errors import InputError
 from difffilter.filters.hiding import Hiding
 from difffilter.filters.recipe import Recipe
+from difffilter.logs.family import Family
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import ParameterSet, Values
@@ -33,6 +34,7 @@ from difffilter.scoring.metrics import squared_error
 from difffilter.seeds import stream
 from difffilter.tuning.curvature import Expansion, expand
 from difffilter.tuning.data import Batch, Trajectories, Windows
+from difffilter.tuning.guards import Held, held_to
 from difffilter.tuning.held_back import Check, hold_back
 from difffilter.tuning.optimisers import chosen
 from difffilter.tuning.processes import Ranks
@@ -224,6 +226,23 @@ class Task:
         batch = self.check.batch(self.runner, values, self.engine)
         return run(self.runner, batch.log, values, batch.start, engine=self.engine)
 
+    def held_to_guards(self, values: Values) -> Held:
+        """The values, or as much of them as every member of the family allows."""
+        return held_to(
+            self.family, self.filter, values, self.seed, score=self.case.score, engine=self.engine
+        )
+
+    @property
+    def family(self) -> Family:
+        """The case's worlds.
+
+        Raises:
+            InputError: a case without any.
+        """
+        if not isinstance(self.case, Scenario) or not self.case.worlds:
+            raise InputError("loss worlds: found no [[worlds]], expected some in a scenario")
+        return family(self.case)
+
     def certainty(self, values: Values, capped: bool) -> Certainty | None:
         """How well the training data determine the values; None with torch: too slow there.
 
@@ -242,10 +261,9 @@ class Task:
 
     def _drawn(self, count: int, purpose: str) -> Log:
         if "worlds" in self.settings.loss:
-            if not isinstance(self.case, Scenario) or not self.case.worlds:
-                raise InputError("loss worlds: found no [[worlds]], expected some in a scenario")
-            found, score = family(self.case), self.case.score
-            return drawn_worlds(found, self.filter, count, self.seed, purpose, score)
+            return drawn_worlds(
+                self.family, self.filter, count, self.seed, purpose, self.case.score
+            )
         return self.referred(self._started(simulate(self.case, count, self.seed, purpose)))
 
     def _started(self, log: Log) -> Log:

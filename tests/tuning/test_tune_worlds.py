@@ -11,12 +11,14 @@ import torch
 from tune_cases import FEW, airport
 
 from difffilter.errors import InputError
+from difffilter.logs.family import Family, Member
 from difffilter.parameters.parameters import ParameterSet
 from difffilter.scenario.families import family
 from difffilter.scenario.scenario import Scenario
 from difffilter.scoring.losses import LOSSES
 from difffilter.scoring.metrics import position_error
 from difffilter.tuning.curvature import chain_rule, expand
+from difffilter.tuning.guards import held_to, toward
 from difffilter.tuning.loop import tune
 from difffilter.tuning.task import Task
 
@@ -39,10 +41,11 @@ def task(engine: str = "torch", **loss: float) -> Task:
 
 
 def by_hand(squared: list[float], published: list[float]) -> float:
-    """Weighted mean of log RMSE ratios of base and longer, and hinges of all three."""
+    """Weighted mean of log RMSE ratios of base and longer, and round hinges of all three."""
     ratios = [0.5 * math.log(s / p) for s, p in zip(squared, published, strict=True)]
     gain = (3.0 * ratios[0] + ratios[2]) / 4.0
-    return gain + 2.0 * sum(max(0.0, r - math.log(1.02)) for r in ratios)
+    over = [r - math.log(1.02) for r in ratios]
+    return gain + sum(x + math.hypot(x, 0.01) for x in over)
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.0, 1.3])
@@ -96,8 +99,9 @@ def test_gauss_newton_knows_gradient_and_curvature_of_the_family() -> None:
     weight = torch.tensor([3.0, 0.0, 1.0], dtype=torch.float64) / 4.0
     squared = sums.values.detach().reshape(3, 8, 3, 4)[..., 0].sum(1).diagonal()
     reference = sums.values.detach().reshape(3, 8, 3, 4)[..., 1].sum(1).diagonal()
-    worse = (squared > 1.02**2 * reference).double()
-    slopes = ((weight + 2.0 * worse) * 0.5 / squared).repeat_interleave(8)
+    over = 0.5 * (squared / (1.02**2 * reference)).log()
+    steep = 1.0 + over / (over.square() + 1e-4).sqrt()
+    slopes = ((weight + steep) * 0.5 / squared).repeat_interleave(8)
     chain = chain_rule(parameters)
     gram = 2.0 * (slopes[:, None, None] * (chain.mT @ sums.gram @ chain)).sum(0)
     bare = expand({"worlds": 1.0}, sums, parameters, 0.0, inputs=batch.log.inputs)
@@ -109,9 +113,39 @@ def test_a_family_is_tuned_and_says_so() -> None:
     made = scenario()
     loss = {"worlds": 1.0}
     first = tune(made, loss=loss, settings=FEW | {"learning_rate": 0.3}, seed=1)
-    assert first.history[0].validation == pytest.approx(0.0, abs=1e-12)
+    assert first.history[0].validation == pytest.approx(by_hand([1.0] * 3, [1.0] * 3), abs=1e-12)
     assert first.checkpoint.training["loss"] == loss
-    assert first.checkpoint.training["validation_loss"] < 0.0
+    assert first.checkpoint.training["validation_loss"] < first.history[0].validation
+    assert set(first.checkpoint.training["guards"]) == {"share", "worst", "upper"}
+
+
+def test_values_go_back_until_no_member_is_worse_than_it_may_be() -> None:
+    """One that is worse than allowed gives way; published values alone never do."""
+    made = scenario()
+    filter: Any = made.system("m-ekf")
+    values = filter.published()
+    values["tdoa.sigma"] = 12.0 * values["tdoa.sigma"]
+    strict = Family(tuple(replace(m, source=drawing(m)) for m in family(made)))
+    held = held_to(strict, filter, values, 3, engine="torch")
+    assert 0.0 <= held.share < 1.0
+    assert held.upper > 1.02
+    expected = toward(filter, values, held.share) if held.share else filter.published()
+    assert torch.equal(held.values["tdoa.sigma"], expected["tdoa.sigma"])
+    free = Family(tuple(replace(m, allow=1e9) for m in strict))
+    assert held_to(free, filter, values, 3, engine="torch").share == 1.0
+
+
+def drawing(member: Member) -> Any:
+    """Few trajectories, however many are asked for."""
+    return lambda count, seed, purpose: member.log(8, seed, purpose)
+
+
+def test_half_of_the_way_is_the_geometric_mean_of_a_scale() -> None:
+    filter: Any = scenario().system("m-ekf")
+    values = filter.published()
+    published = values["tdoa.sigma"]
+    values["tdoa.sigma"] = 4.0 * published
+    assert torch.allclose(toward(filter, values, 0.5)["tdoa.sigma"], 2.0 * published)
 
 
 def test_worlds_without_any_are_refused() -> None:

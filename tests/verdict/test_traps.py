@@ -10,6 +10,8 @@ from planted import judged, planted, shifted
 from difffilter import simulate
 from difffilter.verdict.evidence import Evidence
 
+pytestmark = pytest.mark.usefixtures("quick_compiler")
+
 GOOD = {"radio.sigma": [3.0, 3.0]}
 FREE = {"standard_errors": {"motion.acceleration": None},
         "undetermined": ["motion.acceleration: the data do not determine it"]}  # fmt: skip
