@@ -141,12 +141,15 @@ from difffilter.sensors.builtin import Position as Position
 from difffilter.sensors.builtin import PositionSensor as PositionSensor
 from difffilter.sensors.builtin import Range as Range
 from difffilter.sensors.builtin import StationSensor as StationSensor
+from difffilter.sensors.delayed import Delayed as Delayed
+from difffilter.sensors.lasting import Lasting as Lasting
 from difffilter.sensors.registry import SENSORS as SENSORS
 from difffilter.sensors.registry import sensor as sensor
 from difffilter.sensors.sensor import FunctionSensor as FunctionSensor
 from difffilter.sensors.sensor import Noise as Noise
 from difffilter.sensors.sensor import Sensor as Sensor
 from difffilter.sensors.sensor import wrap as wrap
+from difffilter.sensors.varying import Varying as Varying
 from difffilter.start.bearings import from_bearings as from_bearings
 from difffilter.start.fit import gauss_newton as gauss_newton
 from difffilter.start.known import at_position as at_position

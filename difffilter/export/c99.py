@@ -21,7 +21,6 @@ from difffilter.files import write_together
 from difffilter.filters.recipe import Recipe
 from difffilter.parameters.values import Constants
 from difffilter.scenario.checkpoint import Checkpoint
-from difffilter.sensors.stations import StationSensor
 
 __all__ = ["export_c"]
 
@@ -115,13 +114,9 @@ def _inputs(
     checkpoint: Checkpoint, filter: Recipe, constants: Constants, begin: Belief
 ) -> tuple[str, ...]:
     """Known inputs that a step reads: positions of platforms, columns that the scenario names."""
-    platforms = [
-        name for sensor in filter.sensors if isinstance(sensor, StationSensor)
-        for name in sensor.platform
-    ]  # fmt: skip
-    possible = tuple(dict.fromkeys((*platforms, *checkpoint.scenario.inputs)))
-    zero = torch.zeros((), dtype=torch.float64)
-    step = trace(filter, constants, begin, dict.fromkeys(possible, zero))
+    possible = tuple(dict.fromkeys((*filter.inputs, *checkpoint.scenario.inputs)))
+    one = torch.ones((), dtype=torch.float64)
+    step = trace(filter, constants, begin, dict.fromkeys(possible, one))
     read = read_places(step, "r")
     at, found = 0, []
     for key, shape in step.row.shapes.items():

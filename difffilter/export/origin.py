@@ -13,6 +13,7 @@ from difffilter.filters.recipe import Modelled, Recipe
 from difffilter.parameters.parameters import Values
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.stations import StationSensor
+from difffilter.sensors.wrapped import bare, rewrapped
 
 __all__ = ["relative"]
 
@@ -32,7 +33,7 @@ def relative(filter: Recipe, values: Values, origin: Sequence[float]) -> Recipe:
     axes = max((getattr(sensor, "axes", 0) for sensor in filter.sensors), default=0)
     if len(origin) != axes:
         raise InputError(f"origin: found {len(origin)} coordinates, expected {axes}, one per axis")
-    sensors = tuple(_moved(sensor, origin) for sensor in filter.sensors)
+    sensors = tuple(rewrapped(s, lambda inner: _moved(inner, origin)) for s in filter.sensors)
     if not isinstance(filter, Modelled):
         raise InputError("origin: found several filters at once, expected one with it")
     local = replace(filter, sensors=sensors)
@@ -58,7 +59,7 @@ def _check(filter: Recipe, local: Recipe, values: Values, origin: Sequence[float
     inside = torch.linspace(1.0, 2.0, n, dtype=torch.float64)
     platforms = {
         name: float(o)
-        for sensor in filter.sensors
+        for sensor in map(bare, filter.sensors)
         if isinstance(sensor, StationSensor)
         for name, o in zip(sensor.platform, origin, strict=False)
     }

@@ -11,6 +11,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
+from difffilter.motions.with_errors import SIGMA
 from difffilter.parameters.parameters import Values
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.estimation import started
@@ -19,6 +20,7 @@ from difffilter.scoring.truth import nominal_sigma
 from difffilter.seeds import stream
 from difffilter.sensors.information import stacked_noise
 from difffilter.sensors.stations import StationSensor
+from difffilter.sensors.wrapped import bare
 
 __all__ = ["rows"]
 
@@ -104,7 +106,7 @@ def _stations(filter: Recipe) -> list[Tensor]:
     """Coordinates along the axes (stations, axes) of the fixed stations of each sensor."""
     return [
         torch.tensor(sensor.stations, dtype=torch.float64)[:, : sensor.axes]
-        for sensor in filter.sensors
+        for sensor in map(bare, filter.sensors)
         if isinstance(sensor, StationSensor) and not sensor.platform
     ]
 
@@ -122,7 +124,8 @@ def _sigma(filter: Recipe, values: Values, known: Sequence[str]) -> Tensor:
     constants = filter.prepare(values)
     n = len(filter.states)
     if "start.sigma" in constants:
-        return constants["start.sigma"].expand(n)
+        own = constants["start.sigma"].expand(len(filter.bare_states))
+        return torch.cat([own, constants[SIGMA]]) if SIGMA in constants else own
     sigma = torch.ones(n, dtype=torch.float64)
     spread = [float((s - s.mean(0)).norm(dim=-1).max()) for s in _stations(filter)]
     axes = getattr(filter.sensors[0], "axes", n)

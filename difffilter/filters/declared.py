@@ -46,6 +46,17 @@ class Declared(ABC):
         return kinds_by_name(self.states)
 
     @property
+    def bare_states(self) -> tuple[str, ...]:
+        """The states without errors of sensors that last: what starts and truth tell."""
+        return self.states
+
+    @property
+    def bare_sensors(self) -> tuple[Sensor, ...]:
+        """The sensors, errors that last taken as noise of each row."""
+        sensors: tuple[Sensor, ...] = getattr(self, "sensors", ())
+        return sensors
+
+    @property
     @abstractmethod
     def channels(self) -> tuple[str, ...]:
         """Names of the m channels, in the order of ``Measurement.z``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -84,9 +84,12 @@ class Filter(Modelled):
             infinite variance deletes the channel. A bound, not a filter to deploy.
         start_sigma: initial standard deviation of each state (parameter ``start.sigma``),
             used where a run's start has no covariance; None for no such parameter. A state
-            given as 0 is known exactly: it stays 0 in tuning too.
+            given as 0 is known exactly: it stays 0 in tuning too. Errors of sensors that last
+            have their own sigma.
         overrides: declarations that replace the components' own (published value, source,
             tuned or not), by name.
+        tuned: names or patterns (``range.*``) of the parameters that are tuned, and no others;
+            None for what the declarations say.
 
     Raises:
         InputError: options that are unknown or do not fit together, a channel name twice, an
@@ -116,7 +119,8 @@ class Filter(Modelled):
     clairvoyant: bool = False
     isolate: bool | None = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, tuned: Sequence[str] | None) -> None:
+        self._place()
         if self.standardise is None:
             default = "noise" if self.iterations else "innovation"
             object.__setattr__(self, "standardise", default)
@@ -129,7 +133,7 @@ class Filter(Modelled):
             raise InputError("recovery inflate: expected standardise innovation, or iterations")
         if getattr(self.adaptation, "independent_noise", False):
             check_independent(self.sensors, "adaptation")
-        super().__post_init__()
+        super().__post_init__(tuned)
 
     @cached_property
     def weighing(self) -> Weighing:

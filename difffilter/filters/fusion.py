@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,7 +48,7 @@ class Fusion(Modelled):
     of the state with the other's covariance.
 
     Attributes:
-        motion, sensors, linearise, start_sigma, overrides: as for a filter.
+        motion, sensors, linearise, start_sigma, overrides, tuned: as for a filter.
         axes: positions, the first states.
         window: of the matching, rows.
 
@@ -66,14 +66,15 @@ class Fusion(Modelled):
     axes: int = 2
     window: int = 4
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, tuned: Sequence[str] | None) -> None:
+        self._place()
         kinds = {(type(sensor), len(sensor.channels)) for sensor in self.sensors}
         if len(self.sensors) < 3 or len(kinds) > 1:
             raise InputError("fusion: expected three sensors or more of one kind and size")
         for sensor in self.sensors:
             if common_noise(sensor):
                 raise InputError("fusion: found noise common to channels, expected independent")
-        super().__post_init__()
+        super().__post_init__(tuned)
 
     @property
     def iterations(self) -> int:

@@ -195,7 +195,7 @@ class Mixture(Overridable, Recipe):
         )
         own = [*declared.values(), rate, *([shares] if count > 1 else [])]
         if self.start_sigma is not None:
-            own.append(declared_start(self.start_sigma, self.states))
+            own.append(declared_start(self.start_sigma, self.bare_states))
         return declare(own)
 
     def prepare(self, values: Values | None = None, temperature: float | None = None) -> Constants:

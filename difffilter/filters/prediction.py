@@ -20,6 +20,7 @@ from difffilter.motions.retraction import cloud, lifted, moved
 from difffilter.parameters.values import Constants
 from difffilter.sensors.information import block_diagonal
 from difffilter.sensors.sensor import Sensor
+from difffilter.sensors.wrapped import seen
 
 __all__ = ["Predicted", "linearise", "predict"]
 
@@ -87,7 +88,9 @@ def linearise(
 
     ``foretold``: whether faults are told by the inputs (see ``clairvoyant`` of a filter).
     """
-    present = ~torch.isnan(measurement.z)
+    z = seen(recipe.sensors, measurement.z, measurement.inputs)
+    measurement = measurement._replace(z=z)
+    present = ~torch.isnan(z)
 
     def again(mean: Tensor, deviations: Tensor) -> Linearised:
         here = predicted._replace(mean=mean, deviations=deviations)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import TYPE_CHECKING, Self
 
 import torch
@@ -13,19 +13,16 @@ from torch import Tensor
 from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.errors import InputError
 from difffilter.filters.declared import Composed, Declared, Part
+from difffilter.filters.placing import own_motion, placed, unplaced
 from difffilter.logs.track import Track
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.constraints import Positive
-from difffilter.parameters.parameters import (
-    Number,
-    Parameter,
-    Values,
-    as_number,
-)
+from difffilter.parameters.parameters import Number, Parameter, Values, as_number
+from difffilter.parameters.selection import tuned_alone
 from difffilter.parameters.values import Constants
 from difffilter.sensors.information import common_noise
 from difffilter.sensors.sensor import Sensor
-from difffilter.sensors.stations import StationSensor
+from difffilter.sensors.wrapped import check_inputs, inputs_of
 
 __all__ = ["RULES", "Modelled", "Recipe", "check_independent", "declared_start"]
 
@@ -60,6 +57,24 @@ class Recipe(Declared):
     def foretold(self) -> tuple[str, ...]:
         """Inputs that only a simulation knows; none of a filter that can be deployed."""
         return ()
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Columns of a log that its sensors read: positions of platforms, what noise follows."""
+        return inputs_of(self.sensors)
+
+    @property
+    def bare_motion(self) -> Motion:
+        """The motion without the states of errors that last."""
+        return own_motion(self.motion)
+
+    @property
+    def bare_states(self) -> tuple[str, ...]:
+        return self.bare_motion.states
+
+    @property
+    def bare_sensors(self) -> tuple[Sensor, ...]:
+        return tuple(unplaced(sensor) for sensor in self.sensors)
 
     @property
     def mode_names(self) -> tuple[str, ...]:
@@ -125,12 +140,16 @@ class Modelled(Composed, Recipe):
             :mod:`difffilter.core.cubature`), of motion and sensors.
         start_sigma: initial standard deviation of each state (parameter ``start.sigma``),
             used where a run's start has no covariance; None for no such parameter. A state
-            given as 0 is known exactly: it stays 0 in tuning too.
+            given as 0 is known exactly: it stays 0 in tuning too. Errors of sensors that last
+            have their own sigma.
         overrides: declarations that replace the components' own (published value, source,
             tuned or not), by name.
+        tuned: names or patterns (``range.*``) of the parameters that are tuned, and no others;
+            None for what the declarations say.
 
     Raises:
-        InputError: an unknown rule, a channel name twice, an override of no parameter.
+        InputError: an unknown rule, a channel name twice, an override of no parameter, a
+            pattern of no parameter.
     """
 
     motion: Motion
@@ -138,14 +157,25 @@ class Modelled(Composed, Recipe):
     linearise: str = field(default="taylor", kw_only=True)
     start_sigma: Number | None = field(default=None, kw_only=True)
     overrides: Mapping[str, Parameter] = field(default_factory=dict, kw_only=True)
+    tuned: InitVar[Sequence[str] | None] = field(default=None, kw_only=True)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, tuned: Sequence[str] | None) -> None:
+        self._place()
         if self.linearise not in RULES:
             raise InputError(f"linearise: found {self.linearise!r}, expected {' or '.join(RULES)}")
         names = self.channels
         if len(set(names)) != len(names):
             raise InputError(f"channels: found a name twice in {', '.join(names)}")
-        _ = self.declarations  # checked when it is made
+        declared = self.declarations  # checked when it is made
+        if tuned is not None:
+            object.__setattr__(self, "overrides", tuned_alone(declared, tuned))
+            del self.__dict__["declarations"]
+
+    def _place(self) -> None:
+        """Give errors that last their states, and delays their motion."""
+        motion, sensors = placed(self.motion, self.sensors)
+        object.__setattr__(self, "motion", motion)
+        object.__setattr__(self, "sensors", sensors)
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -177,13 +207,12 @@ class Modelled(Composed, Recipe):
         own = (*super()._own_parameters, *self._more_parameters)
         if self.start_sigma is None:
             return own
-        return (*own, declared_start(self.start_sigma, self.states))
+        return (*own, declared_start(self.start_sigma, self.bare_states))
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
-        """Raise InputError if a known input of a sensor is missing: a platform."""
+        """Raise InputError if a known input of a sensor is missing: a platform, a column."""
         for sensor in self.sensors:
-            if isinstance(sensor, StationSensor):
-                sensor.check_inputs(inputs)
+            check_inputs(sensor, inputs)
 
 
 def check_independent(sensors: tuple[Sensor, ...], who: str) -> None:

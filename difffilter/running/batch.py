@@ -9,6 +9,7 @@ from tqdm import tqdm
 from difffilter.core.beliefs import Belief, Measurement, Record, belief
 from difffilter.engine.choice import ENGINES, eager_seconds, with_engine
 from difffilter.errors import InputError, NonFiniteError
+from difffilter.filters.placing import extended
 from difffilter.filters.recipe import Recipe
 from difffilter.filters.stepping import step
 from difffilter.logs.log import Log, Start
@@ -20,12 +21,16 @@ __all__ = ["ENGINES", "check_finite", "eager", "prepared", "run", "start_belief"
 
 
 def start_belief(filter: Recipe, constants: Constants, start: Start) -> Belief:
-    """Belief at the start; the filter's ``start.sigma`` where no covariance is given (or NaN)."""
+    """Belief at the start; the filter's ``start.sigma`` where no covariance is given (or NaN).
+
+    A start of the states without the errors of sensors that last has these at 0, as uncertain
+    as they are in the long run.
+    """
     mean, covariance = start.mean, start.covariance
     without = None if covariance is None else torch.isnan(covariance).all(-1).all(-1)
     if without is not None and covariance is not None and not bool(without.any()):
         given = belief(mean, covariance)
-        return filter.start(given.mean, given.deviations)
+        return filter.start(*extended(filter.motion, constants, given.mean, given.deviations))
     if "start.sigma" not in constants:
         raise InputError("start: found no covariance, expected one, or a filter with start.sigma")
     n = mean.shape[-1]
@@ -35,7 +40,7 @@ def start_belief(filter: Recipe, constants: Constants, start: Start) -> Belief:
         here = without[..., None, None]
         given = belief(mean, torch.where(here, torch.eye(n, dtype=mean.dtype), covariance))
         deviations = torch.where(here, deviations, given.deviations)
-    return filter.start(mean, deviations)
+    return filter.start(*extended(filter.motion, constants, mean, deviations))
 
 
 def run(
@@ -115,7 +120,10 @@ def prepared(
     if start is None:
         raise InputError("start: found none, expected an initial mean (see from_measurements)")
     at = None if isinstance(start, Belief) else start.time
-    if start.mean.shape[-1:] != (len(filter.states),):
+    known = {len(filter.states)}
+    if isinstance(start, Start):
+        known.add(len(filter.bare_states))  # errors that last start at 0
+    if start.mean.shape[-1] not in known:
         raise InputError(
             f"start: found mean of shape {list(start.mean.shape)}, "
             f"expected {len(filter.states)} numbers ({', '.join(filter.states)})"

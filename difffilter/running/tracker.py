@@ -12,6 +12,7 @@ from torch import Tensor
 from difffilter.core.beliefs import Belief, Measurement, Record, belief
 from difffilter.engine.choice import pick, tried
 from difffilter.errors import InputError, NonFiniteError
+from difffilter.filters.placing import extended
 from difffilter.filters.recipe import Recipe
 from difffilter.filters.stepping import step
 from difffilter.logs.log import Log
@@ -79,6 +80,9 @@ class Tracker:
             self._constants = filter.prepare(values, temperature)
             self._dtype = next(iter(self._constants.values())).dtype
             first = belief(self._tensor(mean), self._tensor(covariance))
+            first = Belief(
+                *extended(filter.motion, self._constants, first.mean, first.deviations), {}
+            )
             if first.mean.shape[-1] != len(filter.states):
                 raise InputError(
                     f"mean: found {first.mean.shape[-1]} numbers, "

@@ -16,6 +16,7 @@ from difffilter.scenario.case import Case
 from difffilter.scenario.model import Model
 from difffilter.scenario.scenario import Scenario
 from difffilter.sensors.position import PositionSensor
+from difffilter.sensors.wrapped import bare
 from difffilter.start.bearings import from_bearings
 from difffilter.start.known import at_position, from_truth
 from difffilter.start.measurements import from_measurements
@@ -28,7 +29,7 @@ def lean(filter: Recipe, log: Log) -> Recipe:
 
     Built-in sensors and measurements whose squares are finite; else the filter as it is.
     """
-    built_in = all(isinstance(sensor, PositionSensor) for sensor in filter.sensors)
+    built_in = all(isinstance(bare(sensor), PositionSensor) for sensor in filter.sensors)
     tame = bool((torch.nan_to_num(log.z).abs() < 1e100).all())
     return filter.centralised if built_in and tame else filter
 
@@ -64,10 +65,10 @@ def _start(scenario: Scenario, system: System, log: Log, values: Values | None) 
     if spec.kind == "given":
         assert spec.position is not None
         known = (spec.position, spec.velocity, spec.covariance, spec.time)
-        return at_position(system.states, *known, dtype=log.z.dtype)
+        return at_position(system.bare_states, *known, dtype=log.z.dtype)
     if spec.kind == "truth" and scenario.world is None:
         sigmas = {"position_sigma": spec.position_sigma, "velocity_sigma": spec.velocity_sigma}
-        return from_truth(system.states, log, **sigmas, span=spec.span)
+        return from_truth(system.bare_states, log, **sigmas, span=spec.span)
     if spec.kind == "bearings":
         assert spec.velocity is not None
         lead = scenario.world.dt if scenario.world else 0.0

@@ -165,8 +165,8 @@ def _start(case: Case, recipe: Any, log: Log) -> dict[str, tuple[float, float]] 
 def _errors(recipe: Filter, log: Log) -> tuple[Array, list[tuple[str, tuple[str, ...], str]]]:
     """Measurements minus what the truth gives, without bias; each sensor: name, channels, unit."""
     assert log.truth is not None
-    state = torch.full((log.steps, len(recipe.states)), torch.nan, dtype=log.z.dtype)
-    for i, name in enumerate(recipe.states):
+    state = torch.full((log.steps, len(recipe.bare_states)), torch.nan, dtype=log.z.dtype)
+    for i, name in enumerate(recipe.bare_states):
         if name in log.truth_states:
             state[:, i] = log.truth[:, log.truth_states.index(name)]
     values = dict(recipe.published(log.z.dtype))
@@ -175,7 +175,7 @@ def _errors(recipe: Filter, log: Log) -> tuple[Array, list[tuple[str, tuple[str,
             values[name] = torch.zeros_like(values[name])
     constants = recipe.prepare(values, None)
     parts, sensors, at = [], [], 0
-    for sensor in recipe.sensors:
+    for sensor in recipe.bare_sensors:
         z = log.z[:, at : at + len(sensor.channels)]
         at += len(sensor.channels)
         parts.append(sensor.residual(z, sensor.predict(state, log.inputs, constants)))

@@ -158,11 +158,12 @@ class Model:
             return replace(log, start=from_measurements(self.recipe, log, values))
         given = log.start or (self.start(log) if callable(self.start) else self.start)
         assert given is not None
-        lead, n = tuple(log.z.shape[1:-1]), len(self.recipe.states)
-        if given.mean.shape[-1:] != (n,):
+        lead, n = tuple(log.z.shape[1:-1]), given.mean.shape[-1] if given.mean.dim() else 0
+        if n not in (len(self.recipe.states), len(self.recipe.bare_states)):
             raise InputError(
                 f"{self.name}: start: found mean of shape {list(given.mean.shape)}, "
-                f"expected {n} numbers ({', '.join(self.recipe.states)})"
+                f"expected {len(self.recipe.bare_states)} numbers "
+                f"({', '.join(self.recipe.bare_states)})"
             )
         covariance = given.covariance
         if covariance is not None:

@@ -15,7 +15,7 @@ __all__ = ["measurement_errors", "nominal_sigma", "true_states"]
 
 
 def true_states(filter: Recipe, log: Log) -> Tensor:
-    """(T, ..., n), the true states of a filter; NaN where unknown.
+    """(T, ..., n), the true states of a filter, without errors that last; NaN where unknown.
 
     A velocity that the log does not have is the central difference of its position.
 
@@ -28,12 +28,12 @@ def true_states(filter: Recipe, log: Log) -> Tensor:
             "inspect and run tell NIS and residuals"
         )
     truth = dict(zip(log.truth_states, log.truth.unbind(-1), strict=True))
-    for name in filter.states:
+    for name in filter.bare_states:
         if name not in truth:
             if name[:1] != "v" or name[1:] not in truth:
                 raise InputError(f"truth: found no truth_{name}, expected every state's")
             truth[name] = _rate(truth[name[1:]], log.time)
-    return torch.stack([truth[name] for name in filter.states], dim=-1)
+    return torch.stack([truth[name] for name in filter.bare_states], dim=-1)
 
 
 def measurement_errors(filter: Recipe, log: Log, values: Values | None = None) -> Tensor:
@@ -48,7 +48,7 @@ def measurement_errors(filter: Recipe, log: Log, values: Values | None = None) -
     log = log.only(filter.channels)
     states, constants = true_states(filter, log), filter.prepare(values)
     parts, at = [], 0
-    for sensor in filter.sensors:
+    for sensor in filter.bare_sensors:
         z = log.z[..., at : at + len(sensor.channels)]
         parts.append(sensor.residual(z, sensor.predict(states, log.inputs, constants)))
         at += len(sensor.channels)
@@ -63,11 +63,11 @@ def nominal_sigma(filter: Recipe, log: Log, values: Values | None = None) -> Ten
     """
     constants = filter.prepare(values)
     known = set(log.truth_states) if log.truth is not None else set()
-    if known.issuperset(filter.states):
+    if known.issuperset(filter.bare_states):
         mean = true_states(filter, log).nan_to_num()
     else:
-        mean = torch.zeros(len(filter.states), dtype=log.z.dtype)
-    total = stacked_noise(filter.sensors, mean, log.inputs, constants).total
+        mean = torch.zeros(len(filter.bare_states), dtype=log.z.dtype)
+    total = stacked_noise(filter.bare_sensors, mean, log.inputs, constants).total
     return (total.expand(len(filter.channels)) if total.dim() < 2 else total).sqrt()
 
 

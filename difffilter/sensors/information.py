@@ -13,6 +13,7 @@ from difffilter.sensors.sensor import Inputs, Noise, Sensor
 __all__ = [
     "Information",
     "block_diagonal",
+    "common_columns",
     "common_noise",
     "covariance_factor",
     "stacked_noise",
@@ -31,13 +32,18 @@ def stacked_noise(
     )
 
 
-def common_noise(sensor: Sensor) -> bool:
-    """Whether the sensor has noise common to channels, by its published values."""
-    constants = sensor.prepare({p.name: p.tensor() for p in sensor.parameters})
+def common_columns(sensor: Sensor) -> int:
+    """How many columns of noise common to channels a sensor has, by its published values."""
     columns = getattr(sensor, "common_columns", None)
     if columns is None:
+        constants = sensor.prepare({p.name: p.tensor() for p in sensor.parameters})
         columns = sensor.noise(torch.zeros(()), {}, constants).common.shape[-1]
-    return bool(columns)
+    return int(columns)
+
+
+def common_noise(sensor: Sensor) -> bool:
+    """Whether the sensor has noise common to channels."""
+    return bool(common_columns(sensor))
 
 
 def _beside(parts: Sequence[Tensor]) -> Tensor:

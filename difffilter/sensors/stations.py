@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from difffilter.core.linalg import positive_sqrt
+from difffilter.core.linalg import components, positive_sqrt
 from difffilter.errors import InputError
 from difffilter.parameters.constraints import Positive
 from difffilter.parameters.parameters import Parameter, Values, as_number
@@ -95,6 +95,11 @@ class StationSensor(PositionSensor):
         stations = stations[(None,) * (rank + 1 - stations.dim())]
         stations = stations.movedim((-2, -1), (0, 1))
         return position.movedim(-1, 0) - stations[:, : self.axes], stations
+
+    def distances(self, state: Tensor, inputs: Inputs, constants: Constants) -> Tensor:
+        """(..., stations), from each station along the axes of the state, m."""
+        apart, _ = self.apart(components(state, self.axes), inputs, constants)
+        return positive_sqrt(apart.square().sum(1)).movedim(0, -1)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from difffilter.parameters.parameters import Values
 from difffilter.parameters.values import Constants
 from difffilter.sensors.bearing import Bearing
 from difffilter.sensors.sensor import Sensor
+from difffilter.sensors.wrapped import bare
 from difffilter.start.parts import Startable, part_of
 from difffilter.start.rows import flatten
 
@@ -45,9 +46,10 @@ class Lines(NamedTuple):
 
 def the_bearing(sensors: Sequence[Sensor]) -> Bearing:
     """The one bearing sensor; InputError if there are others beside it."""
-    if len(sensors) == 1 and isinstance(sensors[0], Bearing):
-        return sensors[0]
-    names = ", ".join(type(sensor).__name__ for sensor in sensors)
+    if len(sensors) == 1 and isinstance(bare(sensors[0]), Bearing):
+        found: Bearing = bare(sensors[0])
+        return found
+    names = ", ".join(type(bare(sensor)).__name__ for sensor in sensors)
     raise InputError(f"sensors: found {names}, expected one bearing sensor alone")
 
 
@@ -131,8 +133,10 @@ def from_bearings(
     found = lines(sensor, first, constants, moving, since)
     position = _crossing_of(found)
     mean = torch.cat([position, moving.expand_as(position)], dim=-1)
-    mean = mean[:, : len(recipe.states)]
-    _check(found, position, sensor.noise(mean, flat.inputs, constants).total, flat.names, rows)
+    mean = mean[:, : len(recipe.bare_states)]
+    _check(
+        found, position, part.sensors[0].noise(mean, flat.inputs, constants).total, flat.names, rows
+    )
     mean = mean.reshape(*log.z.shape[1:-1], -1)
     if not lead:
         return Start(mean)

@@ -16,6 +16,7 @@ from difffilter.errors import InputError
 from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import TDOA, Bearing, Position, Range, StationSensor
 from difffilter.sensors.sensor import Sensor
+from difffilter.sensors.wrapped import bare
 
 __all__ = ["candidates"]
 
@@ -52,6 +53,7 @@ def candidates(
     for sensor in sensors:
         here = z[..., at : at + len(sensor.channels)]
         at += len(sensor.channels)
+        sensor = bare(sensor)
         if isinstance(sensor, Position):
             bias = constants[f"{sensor.name}.bias"]
             median = (here - bias).nanmedian(dim=0).values

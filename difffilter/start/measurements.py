@@ -23,6 +23,7 @@ other trajectories.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -30,6 +31,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
+from difffilter.sensors.wrapped import check_inputs, seen
 from difffilter.start.parts import Part, Startable, part_of
 from difffilter.start.rows import flatten
 from difffilter.start.waiting import Fitted, Fitter
@@ -94,10 +96,18 @@ def from_measurements(
         scale=scale,
         iterations=iterations,
     )
-    fit = fitter.all(flatten(log.only(part.channels)))
+    fit = fitter.all(flatten(_seen(part, log)))
     covariance = _covariance(fit, part, declared, unknown, velocity_sigma is not None)
     mean = fit.mean.reshape(*log.z.shape[1:-1], -1)
     return Start(mean, None if covariance is None else covariance.reshape(*mean.shape, -1))
+
+
+def _seen(part: Part, log: Log) -> Log:
+    """The log of the part's channels, without what an input withholds."""
+    log = log.only(part.channels)
+    for sensor in part.sensors:
+        check_inputs(sensor, log.inputs)
+    return replace(log, z=seen(part.sensors, log.z, log.inputs))
 
 
 def _check(recipe: Startable, log: Log, rows: int, span: float) -> None:

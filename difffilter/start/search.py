@@ -14,6 +14,7 @@ from difffilter.parameters.values import Constants
 from difffilter.sensors.builtin import Position
 from difffilter.sensors.information import Information, stacked_noise
 from difffilter.sensors.sensor import Sensor
+from difffilter.sensors.wrapped import bare
 from difffilter.start.fit import Frame, Weigh, gauss_newton, linearised, residual
 from difffilter.start.grid import candidates
 from difffilter.start.rows import Epochs
@@ -114,7 +115,7 @@ class Problem:
         """(m, g), 1 where a channel belongs to a group."""
         blocks = [
             self.z.new_ones(len(s.channels), 1)
-            if isinstance(s, Position)
+            if isinstance(bare(s), Position)
             else torch.eye(len(s.channels), dtype=self.z.dtype)
             for s in self.sensors
         ]

@@ -143,7 +143,7 @@ def moved_start(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     start = log.start
     assert start is not None
     begin = start_belief(filter, filter.prepare(), start)
-    sigma = begin.covariance.diagonal(dim1=-2, dim2=-1).sqrt()
+    sigma = begin.covariance.diagonal(dim1=-2, dim2=-1).sqrt()[..., : start.mean.shape[-1]]
     draw = torch.rand(start.mean.shape, generator=stream(seed, "start"), dtype=start.mean.dtype)
     mean = start.mean + level * torch.where(draw < 0.5, -sigma, sigma)
     return replace(log, start=Start(mean, start.covariance, start.time))
@@ -161,7 +161,7 @@ def sustained(filter: Recipe, log: Log) -> float:
     level = math.sqrt(float(size[torch.isfinite(size)].mean()))
     dt = float((time[1:] - time[:-1]).median())
     mean, inputs = states[0], {name: x[0] for name, x in log.inputs.items()}
-    noise = filter.motion.noise(mean.nan_to_num(), torch.tensor(dt), inputs, filter.prepare())
+    noise = filter.bare_motion.noise(mean.nan_to_num(), torch.tensor(dt), inputs, filter.prepare())
     allowed = noise[..., _places(filter, "v"), :].square().sum((-1, -2)).mean().sqrt() / dt
     return level if level > 0.01 * float(allowed) else float(allowed)
 
@@ -215,7 +215,7 @@ def _displaced(filter: Recipe, log: Log, position: Tensor, velocity: Tensor) -> 
     moved = replace(log, truth=truth)
     parts, at = [], 0
     old, new, constants = true_states(filter, log), true_states(filter, moved), filter.prepare()
-    for sensor in filter.sensors:
+    for sensor in filter.bare_sensors:
         a, b = (sensor.predict(x, log.inputs, constants) for x in (old, new))
         parts.append(log.z[..., at : at + len(sensor.channels)] + sensor.residual(b, a))
         at += len(sensor.channels)
@@ -224,7 +224,7 @@ def _displaced(filter: Recipe, log: Log, position: Tensor, velocity: Tensor) -> 
 
 def _predicted(filter: Recipe, log: Log) -> Tensor:
     states, constants = true_states(filter, log), filter.prepare()
-    return torch.cat([s.predict(states, log.inputs, constants) for s in filter.sensors], -1)
+    return torch.cat([s.predict(states, log.inputs, constants) for s in filter.bare_sensors], -1)
 
 
 def _between(log: Log) -> Tensor:

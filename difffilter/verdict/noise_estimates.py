@@ -14,6 +14,8 @@ from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import Parameter, as_number
 from difffilter.scoring.truth import measurement_errors, true_states
 from difffilter.sensors.sensor import NoiseAndBias
+from difffilter.sensors.varying import varies
+from difffilter.sensors.wrapped import bare
 from difffilter.weights.registry import plain
 
 __all__ = ["noise_names", "plain_filter", "sample_covariances"]
@@ -29,12 +31,12 @@ def noise_names(filter: Recipe) -> tuple[str, ...]:
 
 def plain_filter(filter: Filter) -> Filter:
     """The Kalman filter of the same motion, sensors and start: nothing robust or adaptive."""
-    bare = Filter(
+    simple = Filter(
         filter.motion, filter.sensors, plain,
         linearise=filter.linearise, start_sigma=filter.start_sigma,
     )  # fmt: skip
-    kept = {n: p for n, p in filter.declarations.items() if n in bare.declarations}
-    return replace(bare, overrides=kept)
+    kept = {n: p for n, p in filter.declarations.items() if n in simple.declarations}
+    return replace(simple, overrides=kept)
 
 
 def sample_covariances(filter: Filter, log: Log) -> dict[str, Tensor]:
@@ -59,10 +61,11 @@ def sample_covariances(filter: Filter, log: Log) -> dict[str, Tensor]:
     for sensor in filter.sensors:
         own = errors[..., at : at + len(sensor.channels)]
         at += len(sensor.channels)
-        base = getattr(sensor, "base", None)
+        # Where the noise follows a column, sigma is not its spread.
+        base = None if varies(sensor) else getattr(bare(sensor), "base", None)
         if isinstance(base, NoiseAndBias) and f"{base.name}.sigma" in wanted:
             found[f"{base.name}.sigma"] = _spread(own, filter.declarations[f"{base.name}.sigma"])
-    motion = filter.motion
+    motion = filter.bare_motion
     if isinstance(motion, ConstantVelocity):
         for name in ("motion.acceleration", "motion.state_sigma"):
             if name in wanted:

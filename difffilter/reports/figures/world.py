@@ -12,6 +12,7 @@ from difffilter.logs.log import Log
 from difffilter.reports.figures.style import COLOURS, axes_grid
 from difffilter.scoring.truth import measurement_errors, nominal_sigma
 from difffilter.sensors.stations import StationSensor
+from difffilter.sensors.wrapped import bare
 
 __all__ = ["world_figure"]
 
@@ -72,7 +73,7 @@ def _paths(ax: Axes, filter: Recipe, log: Log) -> None:
 def _places(filter: Recipe, log: Log) -> dict[str, Tensor]:
     """Stations and the platform's path, (*, 2) each, where there are any."""
     found = {}
-    for sensor in filter.sensors:
+    for sensor in map(bare, filter.sensors):
         if isinstance(sensor, StationSensor) and not sensor.platform:
             given = log.inputs.get(f"{sensor.name}.stations")
             fixed = torch.tensor(sensor.stations, dtype=torch.float64)
