@@ -1,11 +1,11 @@
 """The public names: one line each, read by type checkers and by the package itself."""
 
-from difffilter.adaptation import Chain as Chain
-from difffilter.adaptation import InnovationMatching as InnovationMatching
-from difffilter.adaptation import MultipleFading as MultipleFading
-from difffilter.adaptation import PredictionCorrection as PredictionCorrection
-from difffilter.adaptation import StrongTracking as StrongTracking
+from difffilter.adaptation.chain import Chain as Chain
+from difffilter.adaptation.correction import PredictionCorrection as PredictionCorrection
 from difffilter.adaptation.credibility import Credibility as Credibility
+from difffilter.adaptation.fading import MultipleFading as MultipleFading
+from difffilter.adaptation.fading import StrongTracking as StrongTracking
+from difffilter.adaptation.matching import InnovationMatching as InnovationMatching
 from difffilter.adaptation.passive import Passive as Passive
 from difffilter.adaptation.protocol import Adaptation as Adaptation
 from difffilter.adaptation.registry import ADAPTATIONS as ADAPTATIONS
@@ -161,6 +161,7 @@ from difffilter.verdict.contests import Contender as Contender
 from difffilter.verdict.contests import Course as Course
 from difffilter.verdict.contests import contenders as contenders
 from difffilter.verdict.contests import contest as contest
+from difffilter.verdict.judge import write_index as write_index
 from difffilter.verdict.stresses import Stressed as Stressed
 from difffilter.verdict.stresses import stress as stress
 from difffilter.verdict.what_changed import Change as Change

@@ -10,7 +10,7 @@ from helpers import STATIONS, tensor
 from oracles import airport
 from torch import Tensor
 
-from difffilter.baselines import InnovationScaling
+from difffilter.adaptation import InnovationScaling
 from difffilter.filters.filter import Filter
 from difffilter.logs.log import Log, Start
 from difffilter.motions.blocks import ConstantVelocity

@@ -21,10 +21,10 @@ from typing import Any, TextIO
 
 from tqdm import tqdm
 
+from difffilter import write_index as write_table
 from difffilter.files import json_text, write_atomically
 from difffilter.reports.page import page
 from difffilter.reports.report import HELD, Report
-from difffilter.verdict import write_index as write_table
 from training.common import ROOT, recordings
 
 EXPERIMENTS = {

@@ -1,14 +1,5 @@
 """Plug-ins around predict and condition; each works with any linearisation and any weight."""
 
-from difffilter.adaptation.chain import Chain
-from difffilter.adaptation.correction import PredictionCorrection
-from difffilter.adaptation.fading import MultipleFading, StrongTracking
-from difffilter.adaptation.matching import InnovationMatching
+from difffilter.public import offered
 
-__all__ = [
-    "Chain",
-    "InnovationMatching",
-    "MultipleFading",
-    "PredictionCorrection",
-    "StrongTracking",
-]
+__all__, __getattr__, __dir__ = offered(__name__, globals())

@@ -91,7 +91,7 @@ def add(commands: Commands) -> None:
 
 
 @dataclass(frozen=True)
-class Job:
+class Chosen:
     """What to run: a system of a scenario with values (None: the published ones)."""
 
     scenario: Case
@@ -108,8 +108,8 @@ def command(args: Namespace) -> int:
         raise InputError("--lag: found without --smooth, expected both")
     if Path(args.out).resolve() == Path(args.log).resolve():
         raise InputError(f"--out {args.out}: is the log itself, expected another file")
-    chosen = _job(args)
-    job = _of_run(chosen, args)
+    chosen = _chosen(args)
+    chosen = _of_run(chosen, args)
 
     from difffilter.cli.estimates import Tally, write_estimates
     from difffilter.filters.recipe import Recipe
@@ -118,13 +118,13 @@ def command(args: Namespace) -> int:
     from difffilter.scenario.estimation import estimate, started
     from difffilter.scenario.scenario import Scenario
 
-    log, clock = _read(job.scenario, args.log)
-    system = job.scenario.system(job.system)
-    frozen = job.values.values if job.values else None
-    temperature = job.values.temperature if job.values else None
+    log, clock = _read(chosen.scenario, args.log)
+    system = chosen.scenario.system(chosen.system)
+    frozen = chosen.values.values if chosen.values else None
+    temperature = chosen.values.temperature if chosen.values else None
     if args.smooth:
         check_smoothable(system)
-    ready = started(job.scenario, system, log, frozen)
+    ready = started(chosen.scenario, system, log, frozen)
     progress = shows_progress(args)
     settings = {"temperature": temperature, "progress": progress, "engine": args.engine}
     windows: Iterable[tuple[Log, Track]]
@@ -135,27 +135,27 @@ def command(args: Namespace) -> int:
         track = estimate(system, ready, frozen, **settings)
         windows = [(ready, track)]
         if args.smooth:
-            later = _smoothed(job, ready, track, args.lag)
+            later = _smoothed(chosen, ready, track, args.lag)
     if isinstance(chosen.scenario, Scenario):
         note_missing_run(chosen.scenario, _run_name(args))
-    tally = Tally(log, job.scenario.score)
+    tally = Tally(log, chosen.scenario.score)
     write_estimates(args.out, windows, clock, tally, args.covariance, later)
     result = tally.summary()
     for line in tally.warnings():
         note(line)
     if later is not None:
-        again = Tally(log, job.scenario.score)
+        again = Tally(log, chosen.scenario.score)
         again.add(later)
         result |= {"smoothed_rmse": again.summary()["rmse"], "lag": args.lag}
     if args.plot:
-        title = f"{job.scenario.name}, {job.system}, values {job.label}"
+        title = f"{chosen.scenario.name}, {chosen.system}, values {chosen.label}"
         _plot(args.plot, log, track, title, later)
-    about = {"scenario": job.scenario.name, "system": job.system, "values": job.label}
+    about = {"scenario": chosen.scenario.name, "system": chosen.system, "values": chosen.label}
     if args.json:
         print_json({**result, **about, "out": args.out})
     else:
         told = _text(result, log.truth is not None, tally)
-        say(f"{job.scenario.name}, {job.system}, values {job.label}: {told}")
+        say(f"{chosen.scenario.name}, {chosen.system}, values {chosen.label}: {told}")
         say(f"estimates written to {args.out}")
     return 0
 
@@ -176,7 +176,7 @@ def _read(case: Case, path: str) -> tuple[Log, Clock]:
     return stack_logs([read.log]), read.clock
 
 
-def _job(args: Namespace) -> Job:
+def _chosen(args: Namespace) -> Chosen:
     """The scenario, the system and the values that the arguments mean."""
     held: Checkpoint | None
     if Path(args.source).suffix == ".json":
@@ -202,45 +202,45 @@ def _job(args: Namespace) -> Job:
     problem = unfit(held, scenario, system) if held else ""
     if problem:
         raise InputError(f"values {label}: {problem}")
-    return Job(scenario, system, label, held)
+    return Chosen(scenario, system, label, held)
 
 
-def _of_run(job: Job, args: Namespace) -> Job:
-    """The job with the geometry of the log's run."""
+def _of_run(chosen: Chosen, args: Namespace) -> Chosen:
+    """The choice with the geometry of the log's run."""
     from difffilter.scenario.recorded import scenario_of_run
     from difffilter.scenario.scenario import Scenario
 
-    scenario = job.scenario
+    scenario = chosen.scenario
     if not isinstance(scenario, Scenario):
         if args.run:
             raise InputError(
                 f"--run: found {args.run!r:.80}, expected none: {scenario.name} has none"
             )
-        return job
+        return chosen
     if args.run and args.run not in scenario.runs:
         expected = f"one of {', '.join(scenario.runs)}" if scenario.runs else "none: it has no runs"
         raise InputError(f"--run: found {shown(args.run)}, expected {expected}")
     name = _run_name(args)
     # The run's overrides are in; its name must not apply them again.
-    return replace(job, scenario=replace(scenario_of_run(scenario, name), runs={}))
+    return replace(chosen, scenario=replace(scenario_of_run(scenario, name), runs={}))
 
 
 def _run_name(args: Namespace) -> str:
     return str(args.run or Path(args.log).stem)
 
 
-def _smoothed(job: Job, log: Log, track: Track, lag: float | None) -> Track:
+def _smoothed(chosen: Chosen, log: Log, track: Track, lag: float | None) -> Track:
     """The track smoothed, with the values that it was made with."""
     from difffilter.running.smoothing import check_smoothable, smoothed
 
-    system = check_smoothable(job.scenario.system(job.system))
+    system = check_smoothable(chosen.scenario.system(chosen.system))
     return smoothed(
         system,
         log.only(system.channels),
         track,
-        job.values.values if job.values else None,
+        chosen.values.values if chosen.values else None,
         lag=math.inf if lag is None else lag,
-        temperature=job.values.temperature if job.values else None,
+        temperature=chosen.values.temperature if chosen.values else None,
     )
 
 

@@ -107,7 +107,7 @@ def _bare(
         return BASELINES[spec.estimator](given)
     if spec.modes:
         return _mixture(spec, given, motion, parameters)
-    if spec.options["fusion"] != "none":
+    if spec.fusion != "none":
         return _fusion(spec, given)
     return _filter(spec.options, given)
 
@@ -116,7 +116,7 @@ def _fusion(spec: SystemSpec, given: Given) -> Fusion:
     """A subsystem for each sensor; InputError for options that belong to a filter."""
     blank = Table({}, spec.where)
     for key, option in OPTIONS.items():
-        if key not in ("fusion", "linearise") and spec.options[key] != option.read(blank, key):
+        if key != "linearise" and spec.options[key] != option.read(blank, key):
             raise InputError(f"{key}: expected no weight, gate or other option with fusion")
     return Fusion(
         given.motion,
@@ -132,9 +132,7 @@ def _filter(wanted: Mapping[str, Any], given: Given) -> Filter:
     counts = [len(sensor.channels) for sensor in given.sensors]
     channels = [c for sensor in given.sensors for c in sensor.channels]
     host = Host(WEIGHTS[wanted["weight"]], channel_groups("sensor", channels, counts), given.axes)
-    options = {
-        key: option.make(wanted[key], host) for key, option in OPTIONS.items() if key != "fusion"
-    }
+    options = {key: option.make(wanted[key], host) for key, option in OPTIONS.items()}
     return Filter(given.motion, given.sensors, start_sigma=given.start_sigma, **options)
 
 

@@ -107,6 +107,5 @@ OPTIONS: dict[str, Option] = {
     "shares": Option(lambda table, key: table.numbers(key, None, ())),
     "adaptation": Option(_adaptation, _plug_in),
     "linearise": Option(_choice(RULES, "taylor")),
-    "fusion": Option(_choice(FUSIONS, "none")),
     "clairvoyant": Option(_flag),
 }

@@ -22,7 +22,7 @@ GIVEN = ("name", "axes", "sigma", "bias", "common_sigma")
 
 
 @dataclass(frozen=True)
-class Schedule:
+class Stretch:
     """Another noise level for steps first <= k <= last."""
 
     first: int
@@ -49,7 +49,7 @@ class SensorSpec:
     model: Any
     sigma: float
     common_sigma: float
-    schedule: tuple[Schedule, ...]
+    schedule: tuple[Stretch, ...]
     every: int = 1
     pool: tuple[str, ...] = ()
 
@@ -109,7 +109,7 @@ def read_sensor(name: str, table: Table, axes: int) -> SensorSpec:
     schedule = []
     for part in noise.tables("schedule"):
         schedule.append(
-            Schedule(
+            Stretch(
                 part.integer("first", low=1),
                 part.integer("last", low=1),
                 unit * part.number("sigma", above=0.0),

@@ -13,7 +13,7 @@ from difffilter.motions.registry import MOTIONS
 from difffilter.parameters.parameters import Number, Parameter, as_number
 from difffilter.scenario.keys import keywords, missing, published, read_keys
 from difffilter.scenario.modes import ModeSpec, read_modes
-from difffilter.scenario.options import OPTIONS, adaptation_names
+from difffilter.scenario.options import FUSIONS, OPTIONS, adaptation_names
 from difffilter.scenario.sensing import SensorSpec
 from difffilter.scenario.table import MEASURES, Table
 
@@ -94,6 +94,7 @@ class SystemSpec:
     where: str
     estimator: str
     options: Mapping[str, Any]
+    fusion: str
     common_noise: bool
     sensors: tuple[str, ...]
     values: Mapping[str, Number]
@@ -113,6 +114,7 @@ class SystemSpec:
             "name": self.name,
             "estimator": self.estimator,
             **self.options,
+            "fusion": self.fusion,
             "common_noise": self.common_noise,
             "sensors": self.sensors,
             "values": self.values,
@@ -142,6 +144,7 @@ def read_system(name: str, table: Table, sensors: Mapping[str, SensorSpec]) -> S
         where=f"{table.where}: {table.path}",
         estimator=table.text("estimator", "filter", choices=("filter", *BASELINES)),
         options={key: option.read(table, key) for key, option in OPTIONS.items()},
+        fusion=table.text("fusion", "none", choices=FUSIONS),
         common_noise=table.flag("common_noise"),
         sensors=table.names("sensors", own),
         values=_read_values(table.table("values", optional=True)),
@@ -149,7 +152,7 @@ def read_system(name: str, table: Table, sensors: Mapping[str, SensorSpec]) -> S
         modes=read_modes(table.table("modes", optional=True), read_motion),
         own=table.names("own", OWN),
     )
-    for key in OPTIONS:
+    for key in (*OPTIONS, "fusion"):
         if spec.modes and key in table:
             table.fail(key, "no such key beside modes: each mode has its own")
     if spec.modes and spec.estimator != "filter":
@@ -159,7 +162,7 @@ def read_system(name: str, table: Table, sensors: Mapping[str, SensorSpec]) -> S
     for sensor in spec.sensors:
         if sensor not in sensors:
             table.fail("sensors", f"names among {', '.join(sensors)}")
-    for key in OPTIONS:
+    for key in (*OPTIONS, "fusion"):
         if key in table and spec.estimator != "filter":
             table.fail(key, f"no such key beside estimator = {spec.estimator!r}")
     _check_together(table, spec)

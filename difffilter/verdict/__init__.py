@@ -1,7 +1,5 @@
 """Whether to adopt tuned values, and at what risk."""
 
-from __future__ import annotations
+from difffilter.public import offered
 
-from difffilter.verdict.judge import write_index
-
-__all__ = ["write_index"]
+__all__, __getattr__, __dir__ = offered(__name__, globals())

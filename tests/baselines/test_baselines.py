@@ -12,13 +12,8 @@ from oracles import adaptive, airport, localisation
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from difffilter.baselines import (
-    ChanEKF,
-    ChanLeastSquares,
-    InnovationScaling,
-    TaylorLeastSquares,
-    gauss_newton,
-)
+from difffilter.adaptation import InnovationScaling
+from difffilter.baselines import ChanEKF, ChanLeastSquares, TaylorLeastSquares
 from difffilter.core.beliefs import Belief, Measurement
 from difffilter.errors import InputError
 from difffilter.filters.stepping import step
@@ -28,6 +23,7 @@ from difffilter.motions.blocks import ConstantVelocity
 from difffilter.parameters.parameters import Parameter
 from difffilter.running.batch import run, start_belief
 from difffilter.sensors.builtin import TDOA, Position, Range
+from difffilter.start.fit import gauss_newton
 from difffilter.weights.registry import huber
 
 SIGMA = airport.metres(10.0)

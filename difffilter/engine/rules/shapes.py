@@ -131,8 +131,8 @@ def _unfold(low: Lower, x: Array, dim: int, size: int, step: int) -> Array:
     return np.stack([np.moveaxis(p, dim, -1) for p in parts], axis=dim)
 
 
-@rule("alias", "clone", "detach", "lift_fresh", "lift_fresh_copy", "contiguous", "conj",
-      "resolve_conj", "resolve_neg", "fw_primal")  # fmt: skip
+@rule("alias", "clone", "detach", "contiguous", "fw_primal")
+@rule("lift_fresh", "lift_fresh_copy", "conj", "resolve_conj", "resolve_neg")
 def _alias(low: Lower, x: Array, *_: Any, **__: Any) -> Array:
     return x
 
