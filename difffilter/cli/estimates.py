@@ -12,6 +12,7 @@ from torch import Tensor
 from difffilter.errors import InputError
 from difffilter.files import write_atomically
 from difffilter.logs.log import Log
+from difffilter.logs.states import UNITS
 from difffilter.logs.times import FORMATS, Clock
 from difffilter.logs.track import Track
 from difffilter.logs.writing import Columns, parts_for
@@ -44,6 +45,7 @@ class Tally:
         self.rows = self.scored = 0
         self.squared = 0.0
         self.by_state: dict[str, float] = {}
+        self.units: dict[str, str] = {}
         self.states: list[str] = []
         self.what, self.unit = "position", "m"
         self.low: dict[str, int] = {}
@@ -63,6 +65,7 @@ class Tally:
             apart = difference(log, track, known)[rows].square().sum(0).tolist()
             for name, squared in zip(known, apart, strict=True):
                 self.by_state[name] = self.by_state.get(name, 0.0) + squared
+                self.units[name] = UNITS[track.kind(name)]
             self._score(log, track, rows)
         for i, name in enumerate(track.channels):
             self.low.setdefault(name, 0)

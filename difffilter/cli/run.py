@@ -267,6 +267,8 @@ def _text(result: dict[str, Any], truth: bool, tally: Tally) -> str:
     shares = [f"{name} {100 * share:.1f} %" for name, share in result["rejected"].items()]
     more = {n: error for n, error in result.get("states", {}).items() if n not in tally.states}
     if more:
-        each = ", ".join(f"{name} {error:.4g}" for name, error in more.items())
+        each = ", ".join(
+            f"{name} {error:.4g} {tally.units[name]}".rstrip() for name, error in more.items()
+        )
         parts[-1] += f"\nRMSE of other states: {each}"
     return f"{', '.join(parts)}\nrejected (weight below {REJECTED:g}): {', '.join(shares)}"

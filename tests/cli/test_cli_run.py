@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from cli_helpers import CHANNELS, TINY, fails, read_columns, strict_json
 
@@ -203,3 +204,32 @@ def test_a_mixtures_probabilities_are_columns(
     assert all(0.0 <= p <= 1.0 for share in shares for p in share)
     assert [sum(row) for row in zip(*shares, strict=True)] == pytest.approx([1.0] * 12)
     assert Path("track.svg").is_file()
+
+
+def test_scored_by_the_states_that_the_scenario_names(place: Path, capsys: Any) -> None:
+    Path("speed.toml").write_text(TINY.replace("schema = 1", 'schema = 1\nscore_states = ["vx"]'))
+    told = run(capsys, "speed.toml", "log.csv", "--system", "m-ekf")
+    estimates, log = read_columns(Path("out.csv")), read_columns(Path("log.csv"))
+    errors = {
+        state: np.array(estimates[state]) - np.array(log[f"truth_{state}"])
+        for state in ("x", "y", "vx", "vy")
+    }
+    assert told["rmse"] == pytest.approx(np.sqrt(np.mean(errors["vx"] ** 2)), rel=1e-9)
+    assert main(["run", "speed.toml", "log.csv", "--system", "m-ekf", "--out", "out.csv"]) == 0
+    assert f"RMSE {told['rmse']:.4g} m/s" in capsys.readouterr().out
+
+
+def test_compare_tells_the_error_of_each_state(place: Path, capsys: Any) -> None:
+    capsys.readouterr()
+    assert main(["compare", "tiny.toml", "--system", "ekf", "--trajectories", "4", "--states"]) == 0
+    table = capsys.readouterr().out.partition("RMSE of each state")[2].splitlines()
+    head, told = (
+        [cell.strip() for cell in next(x for x in table if x.startswith(f"| {word} |")).split("|")]
+        for word in ("system", "ekf")
+    )
+    scenario = difffilter.load_scenario("tiny.toml")
+    row = difffilter.compare(scenario, trajectories=4, systems=("ekf",)).rows[0]
+    for name, error in row.per_state.items():
+        assert float(told[head.index(name)]) == pytest.approx(error, rel=1e-3)
+    assert set(row.per_state) == {"x", "y", "vx", "vy"}
+    assert row.rmse**2 == pytest.approx(row.per_state["x"] ** 2 + row.per_state["y"] ** 2)
