@@ -108,8 +108,8 @@ def command(args: Namespace) -> int:
         raise InputError("--lag: found without --smooth, expected both")
     if Path(args.out).resolve() == Path(args.log).resolve():
         raise InputError(f"--out {args.out}: is the log itself, expected another file")
-    chosen = _chosen(args)
-    chosen = _of_run(chosen, args)
+    asked = _chosen(args)
+    chosen = _of_run(asked, args)
 
     from difffilter.cli.estimates import Tally, write_estimates
     from difffilter.filters.recipe import Recipe
@@ -136,8 +136,8 @@ def command(args: Namespace) -> int:
         windows = [(ready, track)]
         if args.smooth:
             later = _smoothed(chosen, ready, track, args.lag)
-    if isinstance(chosen.scenario, Scenario):
-        note_missing_run(chosen.scenario, _run_name(args))
+    if isinstance(asked.scenario, Scenario):
+        note_missing_run(asked.scenario, _run_name(args))
     tally = Tally(log, chosen.scenario.score)
     write_estimates(args.out, windows, clock, tally, args.covariance, later)
     result = tally.summary()
