@@ -47,6 +47,14 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--train", metavar="FILE", nargs="+", help="recorded logs tuned on, for the contest"
     )
+    parser.add_argument(
+        "--bound", action="store_true",
+        help="tune the filter that is told of every fault by the same loss: the bound",
+    )  # fmt: skip
+    parser.add_argument(
+        "--guarantee", action="store_true",
+        help="tune on one world, on the family and on it with guards: what a guarantee costs",
+    )  # fmt: skip
     parser.add_models()
     parser.add_quiet()
     parser.add_argument("--out", metavar="FOLDER", default="report", help="folder (report)")
@@ -82,7 +90,7 @@ def command(args: Namespace) -> int:
             report, checkpoint, args.trajectories, args.seed, log=log,
             train=read_logs(checkpoint.scenario, args.train), name=name,
             seeds=range(args.contest), progress=not args.quiet and sys.stderr.isatty(),
-            engine=args.engine,
+            engine=args.engine, bound=args.bound, guaranteed=args.guarantee,
         )  # fmt: skip
         say(f"{name}, {checkpoint.system}: {text}")
         path = report.write()

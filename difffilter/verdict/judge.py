@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from difffilter.comparison.comparison import compare
 from difffilter.comparison.table import labelled
 from difffilter.logs.log import Log
 from difffilter.reports.figures.world import world_figure
@@ -14,6 +13,7 @@ from difffilter.reports.report import Report
 from difffilter.scenario.checkpoint import Checkpoint
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.systems import recipes
+from difffilter.verdict.bounds import write_guarantee, write_held_out
 from difffilter.verdict.contest_section import write_contest
 from difffilter.verdict.evidence import Evidence, gather
 from difffilter.verdict.grade import GRADES, harmful, misled
@@ -36,6 +36,8 @@ def verdict(
     seeds: Sequence[int] = (),
     progress: bool = False,
     engine: str = "auto",
+    bound: bool = False,
+    guaranteed: bool = False,
 ) -> str:
     """Write the sections of one checkpoint into a report; the advice.
 
@@ -46,6 +48,8 @@ def verdict(
         name: of the checkpoint in headings and file names; the scenario's if empty.
         seeds: of the contest of tuners, one tuning each; none leaves it out.
         progress: show how far the contest is.
+        bound: tune the filters that are told of every fault, too.
+        guaranteed: tune on one world, on the family, and on it with guards, and compare.
 
     Raises:
         InputError: a scenario of recordings without ``log``; a log without truth.
@@ -59,13 +63,12 @@ def verdict(
     made = replace(found.grade, spare=tuple(change.name for change in worth if change.keep))
     found = replace(found, grade=made)
     report.heading(case.name)
-    report.verdict(case.name, made.text, found.as_dict() | {"page": "report.html"})
     report.card(made.word, summary(found))
     if made.terms:
         _terms(report, case, found)
     with report.folded("Held out"):
         report.text(_data(case, found.held.log.trajectories, None if log is not None else seed))
-        _table(report, case, found, trajectories, seed, log)
+        told = write_held_out(report, case, found, bound)
         _world(report, case)
     with report.folded("Consistency by direction, and conditions that nobody tuned on"):
         _directions(report, case, found)
@@ -74,8 +77,16 @@ def verdict(
         write_changes(report, case, worth)
     with report.folded("Is it trustworthy?"):
         write_trust(report, case, seed)
+    with report.folded("What a guarantee costs"):
+        costs: Mapping[str, Any] = {}
+        if guaranteed:
+            costs = write_guarantee(report, case, trajectories, seed)
+        else:
+            report.text("Left out: it was not asked for (--guarantee).")
     with report.folded("Is the gradient worth it?"):
         write_contest(report, case, train, seeds, progress)
+    data = found.as_dict() | {"told": told, "guarantee": costs, "page": "report.html"}
+    report.verdict(case.name, made.text, data)
     return made.text
 
 
@@ -150,32 +161,6 @@ def _listed(found: Mapping[str, float], names: bool = True) -> str:
     return ", ".join(
         f"{name} {_short(value, 2)}" if names else _short(value, 2) for name, value in found.items()
     )
-
-
-def _table(
-    report: Report, case: Case, found: Evidence, trajectories: int, seed: int, log: Log | None
-) -> None:
-    scenario, checkpoint = case.checkpoint.scenario, case.checkpoint
-    told = [n for n, spec in scenario.systems.items() if spec.clairvoyant and log is None]
-    table = found.table
-    named = [replace(row, system=checkpoint.system) for row in table.rows]
-    if told:
-        more = compare(
-            scenario, {"published": None}, trajectories, seed, systems=tuple(told),
-            engine=case.held.chosen,
-        )  # fmt: skip
-        base = table.rows[0].rmse
-        named += [replace(r, ratio=r.rmse / base, ratio_ci95=_nothing(r, base)) for r in more.rows]
-        report.text(
-            f"{' and '.join(told)}: told of every fault, with the published noise. No bound: "
-            "tuned noise may well do better."
-        )
-    label = f"{checkpoint.system} published"
-    report.comparison(f"{case.slug} held out", replace(table, rows=tuple(named), reference=label))
-
-
-def _nothing(row: Any, base: float) -> tuple[float, float]:
-    return (row.ci95[0] / base, row.ci95[1] / base)
 
 
 def _world(report: Report, case: Case) -> None:
