@@ -89,9 +89,15 @@ def _told(case: Case, found: Evidence, bound: bool) -> list[Row]:
 def write_guarantee(report: Report, case: Case, trajectories: int, seed: int) -> Mapping[str, Any]:
     """Values tuned on one world, on the family, and on it with guards, in every member.
 
+    Args:
+        trajectories: held out, of each member; 0 where nobody asked.
+
     Returns:
         The figures, by set and member; empty where there is no simulated family.
     """
+    if not trajectories:
+        report.text("Left out: it was not asked for (--guarantee).")
+        return {}
     checkpoint = replace(case.checkpoint, scenario=case.held.scenario)
     try:
         found = guarantee(checkpoint, trajectories, seed, engine=case.held.chosen)

@@ -78,11 +78,7 @@ def verdict(
     with report.folded("Is it trustworthy?"):
         write_trust(report, case, seed)
     with report.folded("What a guarantee costs"):
-        costs: Mapping[str, Any] = {}
-        if guaranteed:
-            costs = write_guarantee(report, case, trajectories, seed)
-        else:
-            report.text("Left out: it was not asked for (--guarantee).")
+        costs = write_guarantee(report, case, trajectories if guaranteed else 0, seed)
     with report.folded("Is the gradient worth it?"):
         write_contest(report, case, train, seeds, progress)
     data = found.as_dict() | {"told": told, "guarantee": costs, "page": "report.html"}
