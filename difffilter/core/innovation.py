@@ -10,7 +10,10 @@ from torch import Tensor
 from difffilter.core.equations import ChannelUpdate, sweep
 from difffilter.core.linalg import square_norms
 
-__all__ = ["innovation_variance", "log_densities", "log_density", "nis"]
+__all__ = ["innovation_variance", "log_densities", "log_density", "nis", "shared_log_density"]
+
+#: Variances whose product is taken before its logarithm: it stays far from the largest number.
+TOGETHER = 4
 
 
 def innovation_variance(observed: Tensor, noise: Tensor) -> Tensor:
@@ -35,6 +38,23 @@ def log_densities(observed: Tensor, noise: Tensor, innovation: Tensor, present: 
     return torch.where(present, each, 0.0)
 
 
+def shared_log_density(
+    observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor
+) -> Tensor:
+    """(...), the same sum for noise above 0, by what the update goes through anyway.
+
+    Beside the update of a filter without weights the compiled engine has nothing left to do but
+    a logarithm for every ``TOGETHER`` channels.
+    """
+    weight = present.to(noise.dtype)
+    gain, s = _gains(observed, noise, innovation, weight)
+    known = torch.where(present, s, 1.0).split(TOGETHER, dim=-1)
+    logarithms = [part.prod(-1).log() for part in known]
+    squares = (gain.square() * s).sum(-1)
+    count = weight.sum(-1) * math.log(2.0 * math.pi)
+    return -0.5 * (squares + sum(logarithms[1:], logarithms[0]) + count)
+
+
 def log_density(observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor) -> Tensor:
     """(...), log N(nu; 0, S) over the present channels, the sum of theirs; 0 with none."""
     return log_densities(observed, noise, innovation, present).sum(-1)
@@ -45,10 +65,18 @@ def _channels(
 ) -> tuple[Tensor, Tensor]:
     """(..., m) each, e_i^2 / s_i and log s_i of the present channels."""
     weight = present.to(noise.dtype)
-    kept: list[ChannelUpdate] = []
     noise = torch.where(present, noise, 1.0)
+    gain, s = _gains(observed, noise, innovation, weight)
+    return gain.square() * s, weight * s.log()
+
+
+def _gains(
+    observed: Tensor, noise: Tensor, innovation: Tensor, weight: Tensor
+) -> tuple[Tensor, Tensor]:
+    """(..., m) each, w_i e_i / s_i and s_i."""
+    kept: list[ChannelUpdate] = []
     sweep(observed[..., :0, :], observed, innovation, weight, noise, kept)
     # The last entry of a gain row is w e / s, and w is 0 or 1.
     gain = torch.stack([update.gain_row[-1, 0] for update in kept], dim=-1)
     s = torch.stack([update.s for update in kept], dim=-1)
-    return gain.square() * s, weight * s.log()
+    return gain, s

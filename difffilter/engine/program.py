@@ -134,6 +134,8 @@ class Program:
             if values[0] == 1.0 or None not in values:
                 return None
             return self._divided(*args)
+        if op in ("min", "max") and args[0] == args[1]:
+            return args[0]
         if op == "neg" and self.nodes[args[0]][0] == "neg":
             return self._argument(args[0])
         if op in BOOLEAN:

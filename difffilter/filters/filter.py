@@ -14,7 +14,7 @@ from difffilter.core.beliefs import Belief, Measurement, Record
 from difffilter.core.compression import compress
 from difffilter.core.linearised import Linearised
 from difffilter.errors import InputError
-from difffilter.filters.prediction import linearise, predict
+from difffilter.filters.prediction import Predicted, linearise, predict
 from difffilter.filters.recipe import RULES, Modelled, check_independent
 from difffilter.motions.retraction import moved
 from difffilter.parameters.parameters import Parameter, Values
@@ -228,9 +228,16 @@ class Filter(Modelled):
 
         return self.recovery.applied(streak, linear, present, self.groups, weights, constants)
 
-    def prior(self, constants: Constants, belief: Belief, measurement: Measurement) -> Prior:
-        """What a row is conditioned on: predicted, linearised, adapted, recovered."""
-        predicted = predict(self, constants, belief, measurement, self.adaptation)
+    def prior(
+        self,
+        constants: Constants,
+        belief: Belief,
+        measurement: Measurement,
+        predicted: Predicted | None = None,
+    ) -> Prior:
+        """What a row is conditioned on: predicted (if not given), linearised, adapted, recovered."""
+        if predicted is None:
+            predicted = predict(self, constants, belief, measurement, self.adaptation)
         linear, present = linearise(self, constants, predicted, measurement, self.clairvoyant)
         left_out = None
         if self.federated if self.isolate is None else self.isolate:
@@ -245,10 +252,17 @@ class Filter(Modelled):
         return Prior(linear, present, memory, widening, left_out)
 
     def step(
-        self, constants: Constants, belief: Belief, measurement: Measurement
+        self,
+        constants: Constants,
+        belief: Belief,
+        measurement: Measurement,
+        predicted: Predicted | None = None,
     ) -> tuple[Belief, Record]:
-        """Predict to the measurement's time, linearise, weigh, condition."""
-        prior = self.prior(constants, belief, measurement)
+        """Predict to the measurement's time, linearise, weigh, condition.
+
+        With ``predicted`` the prediction is done already; of the belief the memory counts.
+        """
+        prior = self.prior(constants, belief, measurement, predicted)
         linear, present, memory = prior.linear, prior.present, prior.memory
         conditioned, record = self.weighing.condition(constants, linear, present, prior.widening)
         if self.adaptation is not None:

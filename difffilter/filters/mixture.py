@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -11,26 +11,33 @@ import torch
 from torch import Tensor
 
 from difffilter.core.beliefs import Belief, Measurement, Record
+from difffilter.core.innovation import shared_log_density
+from difffilter.core.linalg import semidefinite_cholesky
 from difffilter.errors import InputError
 from difffilter.filters.declared import Overridable
 from difffilter.filters.filter import Filter
 from difffilter.filters.mixing import (
+    Estimate,
+    estimate_of,
+    exchanged,
+    joined,
     joint_record,
     kept,
     least,
-    merged,
-    mixed,
-    moments,
     normalised,
-    own_belief,
+    own_estimate,
+    switched,
 )
+from difffilter.filters.prediction import predict_covariance
 from difffilter.filters.recipe import Recipe, declared_start
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.constraints import Positive, Simplex
 from difffilter.parameters.parameters import Number, Parameter, Values, declare
 from difffilter.parameters.values import Constants
 from difffilter.registry import NAME
+from difffilter.sensors.information import common_noise
 from difffilter.sensors.sensor import Sensor
+from difffilter.weights.registry import plain
 
 __all__ = ["PROBABILITY", "Mixture"]
 
@@ -48,7 +55,8 @@ class Mixture(Overridable, Recipe):
     1. *Switching.* At a rate ``modes.rate`` the mode is drawn anew from ``modes.share``, so that
        P_ij(dt) = exp(-rate dt) [i = j] + (1 - exp(-rate dt)) share_j: exact for uneven times.
     2. *Mixing.* Mode j starts from the moments of all estimates with the weights
-       mu_i P_ij / c_j, c_j = sum_i mu_i P_ij (:func:`merged`).
+       mu_i P_ij / c_j, c_j = sum_i mu_i P_ij: of its own where it stays, of the last output
+       where it is drawn anew (:func:`difffilter.filters.mixing.exchanged`).
     3. *Each mode's own step*, weights and gates included.
     4. *Probabilities.* log mu_j = log c_j + sum_c w_c log N_jc + const, with N_jc the nominal
        density of channel c in mode j, given the channels before it.
@@ -222,37 +230,68 @@ class Mixture(Overridable, Recipe):
         lead = mean.shape[:-1]
         memory = {PROBABILITY: mean.new_full((*lead, len(self.modes)), torch.nan)}
         for mode, filter in self.modes.items():
-            belief = filter.start(mean, deviations)
-            memory |= kept(mode, belief)
+            memory |= kept(mode, estimate_of(filter.start(mean, deviations)))
         return Belief(mean, deviations, memory)
 
     def step(
         self, constants: Constants, belief: Belief, measurement: Measurement
     ) -> tuple[Belief, Record]:
         """One row; see the class."""
-        beliefs = [own_belief(mode, belief.memory) for mode in self.modes]
         known = belief.memory[PROBABILITY]
         known = torch.where(torch.isnan(known), constants["modes.share"], known)
-        predicted, mixing = mixed(known, constants, measurement.dt)
-        before = moments(beliefs)
+        chain = switched(known, constants, measurement.dt)
+        of_all = estimate_of(belief)
         after, records = [], []
-        for j, (mode, filter) in enumerate(self.modes.items()):
-            prior = merged(mixing[..., j], before)._replace(memory=beliefs[j].memory)
-            own = {
-                name[len(mode) + 1 :]: constant
-                for name, constant in constants.items()
-                if name.startswith(f"{mode}/")
-            }
-            posterior, record = filter.step(Constants(own), prior, measurement)
+        for j, mode in enumerate(self.modes):
+            own = own_estimate(mode, belief.memory)
+            prior = exchanged(self.motion, chain.stays[..., j], chain.fresh[..., j], of_all, own)
+            posterior, record = self._of_mode(mode, constants, prior, measurement)
             after.append(posterior)
             records.append(record)
-        believed = torch.stack([record.weight for record in records]).amax(0)
-        densities = torch.stack(
-            [(believed * record.log_densities).sum(-1) for record in records], dim=-1
-        )
-        probability = normalised(predicted.log() + densities)
-        output = merged(probability, moments(after))
+        probability = normalised(chain.predicted, self._densities(records))
+        output = joined(self.motion, probability, after)
         memory = {PROBABILITY: probability.clamp_min(least(probability))}
         for mode, posterior in zip(self.modes, after, strict=True):
             memory |= kept(mode, posterior)
-        return output._replace(memory=memory), joint_record(predicted, probability, records)
+        record = joint_record(chain.predicted, probability, records)
+        return output._replace(memory=memory), record
+
+    def _of_mode(
+        self, mode: str, constants: Constants, prior: Estimate, measurement: Measurement
+    ) -> tuple[Estimate, Record]:
+        """The mode's own step from what it starts from."""
+        filter, own = self.modes[mode], _own_constants(mode, constants)
+        mean, covariance, memory = prior.mean, prior.covariance, prior.memory
+        predicted = None
+        if filter.adaptation is None:
+            predicted = predict_covariance(filter, own, mean, covariance, measurement)
+        factor = semidefinite_cholesky(covariance) if predicted is None else predicted.deviations
+        after, record = filter.step(own, Belief(mean, factor, memory), measurement, predicted)
+        return estimate_of(after), record
+
+    def _densities(self, records: Sequence[Record]) -> Tensor:
+        """(..., K), log density of the row in each mode, of the channels that any mode believes."""
+        if self._believes_all:
+            each = [
+                shared_log_density(r.observed, r.noise, r.innovation, r.present) for r in records
+            ]
+            return torch.stack(each, dim=-1)
+        believed = torch.stack([record.weight for record in records]).amax(0)
+        return torch.stack([(believed * r.log_densities).sum(-1) for r in records], dim=-1)
+
+    @property
+    def _believes_all(self) -> bool:
+        """Whether some mode gives every channel weight 1, and noise of no channel can be 0."""
+        common = any(common_noise(s) for mode in self.modes.values() for s in mode.sensors)
+        trusting = any(mode.weight == plain and mode.gate is None for mode in self.modes.values())
+        return trusting and not common
+
+
+def _own_constants(mode: str, constants: Constants) -> Constants:
+    """Those that :meth:`Mixture.prepare` has named for a mode."""
+    found = {
+        name[len(mode) + 1 :]: constant
+        for name, constant in constants.items()
+        if name.startswith(f"{mode}/")
+    }
+    return Constants(found)

@@ -12,7 +12,7 @@ from difffilter.adaptation.protocol import Adaptation
 from difffilter.core.beliefs import Belief, Measurement
 from difffilter.core.compression import compress
 from difffilter.core.cubature import doubled, moments
-from difffilter.core.linalg import join
+from difffilter.core.linalg import join, product, semidefinite_cholesky
 from difffilter.core.linearised import Linearised
 from difffilter.filters.recipe import Modelled
 from difffilter.motions.protocol import Motion
@@ -22,7 +22,7 @@ from difffilter.sensors.information import block_diagonal
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.wrapped import seen
 
-__all__ = ["Predicted", "linearise", "predict"]
+__all__ = ["Predicted", "linearise", "predict", "predict_covariance"]
 
 
 class Predicted(NamedTuple):
@@ -62,6 +62,33 @@ def predict(
         return motion.propagate(belief.mean, columns, dt, inputs, constants)
 
     return Predicted(mean, compress(ahead, process), ahead, process, transition)
+
+
+def predict_covariance(
+    recipe: Modelled,
+    constants: Constants,
+    mean: Tensor,
+    covariance: Tensor,
+    measurement: Measurement,
+) -> Predicted | None:
+    """The same from a covariance (..., n, n): F P F^T + Q, factored once.
+
+    None where deviations are needed before the step: points, a state on a manifold. What moved
+    is told as the whole: an adaptation that asks for F X has no use of it.
+    """
+    motion, dt, inputs = recipe.motion, measurement.dt, measurement.inputs
+    if (recipe.linearise == "cubature" and not motion.linear) or not motion.flat:
+        return None
+
+    def transition(columns: Tensor) -> Tensor:
+        return motion.propagate(mean, columns, dt, inputs, constants)
+
+    process = motion.noise(mean, dt, inputs, constants)
+    process = torch.where((dt > 0.0)[..., None, None], process, 0.0)
+    ahead = transition(transition(covariance).mT) + product(process, process.mT)
+    factor = semidefinite_cholesky(ahead)
+    moved = motion.transition(mean, dt, inputs, constants)
+    return Predicted(moved, factor, factor, process, transition)
 
 
 def _moved_points(
