@@ -235,7 +235,7 @@ class Filter(Modelled):
         measurement: Measurement,
         predicted: Predicted | None = None,
     ) -> Prior:
-        """What a row is conditioned on: predicted (if not given), linearised, adapted, recovered."""
+        """What a row is conditioned on: predicted, linearised, adapted, recovered."""
         if predicted is None:
             predicted = predict(self, constants, belief, measurement, self.adaptation)
         linear, present = linearise(self, constants, predicted, measurement, self.clairvoyant)

@@ -18,8 +18,8 @@ from difffilter.motions.retraction import moved
 from difffilter.parameters.values import Constants
 
 __all__ = [
-    "Estimate", "Switched", "estimate_of", "exchanged", "joint_record", "joined", "kept", "least", "normalised",
-    "own_estimate", "switched",
+    "Estimate", "Switched", "estimate_of", "exchanged", "joined", "joint_record", "kept", "least",
+    "normalised", "own_estimate", "switched",
 ]  # fmt: skip
 
 #: Gauss-Newton steps to the mean of estimates on a manifold: each squares the distance left.
@@ -228,7 +228,11 @@ def _spread(predicted: Tensor, innovation: Tensor, records: Sequence[Record]) ->
     m, k = records[0].observed.shape[-2:]
     if m <= len(records) * (k + 1):
         parts = [
-            p[..., None, None] * (product(record.observed, record.observed.mT) + shift.unsqueeze(-1) * shift.unsqueeze(-2))
+            p[..., None, None]
+            * (
+                product(record.observed, record.observed.mT)
+                + shift.unsqueeze(-1) * shift.unsqueeze(-2)
+            )
             for p, record, shift in zip(each, records, shifts, strict=True)
         ]
         return semidefinite_cholesky(sum(parts[1:], parts[0]))

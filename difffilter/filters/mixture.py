@@ -115,6 +115,12 @@ class Mixture(Overridable, Recipe):
                     f"modes.{name}: found states {', '.join(mode.states)} and channels "
                     f"{', '.join(mode.channels)}, expected those of the first mode"
                 )
+            if (mode.motion.flat, mode.error_states) != (first.motion.flat, first.error_states):
+                raise InputError(
+                    f"modes.{name}: found a state whose deviations are "
+                    f"{', '.join(mode.error_states)}{' and wrap' * (not mode.motion.flat)}, "
+                    "expected those of the first mode"
+                )
         if self.share and len(self.share) != len(self.modes):
             raise InputError(
                 f"modes.share: found {len(self.share)} numbers, expected {len(self.modes)}"

@@ -169,7 +169,7 @@ def _fit(start: Belief, log: Log, states: tuple[str, ...]) -> Belief:
             f"start: found mean of shape {list(start.mean.shape)}, expected {[*lead, n]}"
         ) from None
     # Of memory of their own: derivatives along a column cannot be taken of repeated numbers.
-    deviations = start.deviations.expand(*lead, n, -1).contiguous()
+    deviations = start.deviations.expand(*lead, *start.deviations.shape[-2:]).contiguous()
     return Belief(mean.contiguous(), deviations, start.memory)
 
 
