@@ -48,11 +48,11 @@ def shared_log_density(
     """
     weight = present.to(noise.dtype)
     gain, s = _gains(observed, noise, innovation, weight)
-    known = torch.where(present, s, 1.0).split(TOGETHER, dim=-1)
-    logarithms = [part.prod(-1).log() for part in known]
-    squares = (gain.square() * s).sum(-1)
-    count = weight.sum(-1) * math.log(2.0 * math.pi)
-    return -0.5 * (squares + sum(logarithms[1:], logarithms[0]) + count)
+    known = torch.where(present, s, 1.0)
+    total = (gain.square() * s).sum(-1) + weight.sum(-1) * math.log(2.0 * math.pi)
+    for at in range(0, known.shape[-1], TOGETHER):
+        total = total + known[..., at : at + TOGETHER].prod(-1).log()
+    return -0.5 * total
 
 
 def log_density(observed: Tensor, noise: Tensor, innovation: Tensor, present: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from difffilter.parameters.values import Constants
 
 __all__ = [
     "Estimate", "Switched", "estimate_of", "exchanged", "joined", "joint_record", "kept", "least",
-    "normalised", "own_estimate", "switched",
+    "normalised", "own_constants", "own_estimate", "switched",
 ]  # fmt: skip
 
 #: Gauss-Newton steps to the mean of estimates on a manifold: each squares the distance left.
@@ -43,7 +43,8 @@ class Estimate(NamedTuple):
     def covariance(self) -> Tensor:
         """(..., p, p)."""
         size = math.isqrt(2 * self.half.shape[-1])
-        return self.half[..., _halves(size)[2]].unflatten(-1, (size, size))
+        whole = self.half[..., _halves(size)[2]]
+        return whole.reshape(*whole.shape[:-1], size, size)
 
 
 def estimate_of(belief: Belief) -> Estimate:
@@ -157,6 +158,16 @@ def _carried(motion: Motion, at: Tensor, estimate: Estimate) -> tuple[Tensor, Te
     none = torch.zeros_like(covariance[..., 0])
     once = jacobian_times(there, none, covariance)
     return motion.local(at, mean), _half(jacobian_times(there, none, once.mT))
+
+
+def own_constants(mode: str, constants: Constants) -> Constants:
+    """Those that a mixture has named for a mode when it prepared."""
+    found = {
+        name[len(mode) + 1 :]: constant
+        for name, constant in constants.items()
+        if name.startswith(f"{mode}/")
+    }
+    return Constants(found)
 
 
 def kept(mode: str, estimate: Estimate) -> dict[str, Tensor]:

@@ -25,6 +25,7 @@ from difffilter.filters.mixing import (
     kept,
     least,
     normalised,
+    own_constants,
     own_estimate,
     switched,
 )
@@ -266,7 +267,7 @@ class Mixture(Overridable, Recipe):
         self, mode: str, constants: Constants, prior: Estimate, measurement: Measurement
     ) -> tuple[Estimate, Record]:
         """The mode's own step from what it starts from."""
-        filter, own = self.modes[mode], _own_constants(mode, constants)
+        filter, own = self.modes[mode], own_constants(mode, constants)
         mean, covariance, memory = prior.mean, prior.covariance, prior.memory
         predicted = None
         if filter.adaptation is None:
@@ -291,13 +292,3 @@ class Mixture(Overridable, Recipe):
         common = any(common_noise(s) for mode in self.modes.values() for s in mode.sensors)
         trusting = any(mode.weight == plain and mode.gate is None for mode in self.modes.values())
         return trusting and not common
-
-
-def _own_constants(mode: str, constants: Constants) -> Constants:
-    """Those that :meth:`Mixture.prepare` has named for a mode."""
-    found = {
-        name[len(mode) + 1 :]: constant
-        for name, constant in constants.items()
-        if name.startswith(f"{mode}/")
-    }
-    return Constants(found)
