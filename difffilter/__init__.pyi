@@ -157,6 +157,8 @@ from difffilter.start.known import from_truth as from_truth
 from difffilter.start.measurements import from_measurements as from_measurements
 from difffilter.tuning.loop import TuneResult as TuneResult
 from difffilter.tuning.loop import tune as tune
+from difffilter.tuning.maximisation import Maximum as Maximum
+from difffilter.tuning.maximisation import expectation_maximisation as expectation_maximisation
 from difffilter.verdict.contests import Contender as Contender
 from difffilter.verdict.contests import Course as Course
 from difffilter.verdict.contests import contenders as contenders

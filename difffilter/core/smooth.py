@@ -19,7 +19,7 @@ from torch import Tensor
 from difffilter.core.compression import compress
 from difffilter.core.conditioning import condition
 
-__all__ = ["Backward", "backward"]
+__all__ = ["Backward", "backward", "disturbance"]
 
 
 class Backward(NamedTuple):
@@ -54,9 +54,28 @@ def backward(filtered: Tensor, moved: Tensor, process: Tensor) -> Backward:
         moved: (..., n, j), F X, column by column of X.
         process: (..., n, q), L with Q = L L^T.
     """
-    n = filtered.shape[-2]
-    columns = process.shape[-1]
-    upper = torch.nn.functional.pad(filtered, (0, columns))
+    return _told(torch.nn.functional.pad(filtered, (0, process.shape[-1])), moved, process)
+
+
+def disturbance(moved: Tensor, process: Tensor) -> Backward:
+    """What the next state tells of the process noise w ~ N(0, I_q) that led to it, L w.
+
+    The same conditioning with [0 I] in place of [X 0]: ``gain`` (..., q, n), ``left``
+    (..., q, k); mean and deviations of w from the next row's smoothed ones, as of a state
+    whose filtered mean is 0.
+
+    Args:
+        moved: (..., n, j), F X; process: (..., n, q), L with Q = L L^T.
+    """
+    q = process.shape[-1]
+    unit = torch.eye(q, dtype=process.dtype, device=process.device)
+    upper = torch.nn.functional.pad(unit, (moved.shape[-1], 0))
+    return _told(upper.expand(*process.shape[:-2], *upper.shape), moved, process)
+
+
+def _told(upper: Tensor, moved: Tensor, process: Tensor) -> Backward:
+    """The deviations ``upper`` (..., p, j + q) conditioned on the next state, without noise."""
+    n = moved.shape[-2]
     lead = torch.broadcast_shapes(moved.shape[:-2], process.shape[:-2], upper.shape[:-2])  # type: ignore[no-untyped-call]
     lower = torch.cat([x.expand(*lead, *x.shape[-2:]) for x in (moved, process)], dim=-1)
     ones = lower.new_ones(*lead, n)

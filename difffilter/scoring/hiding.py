@@ -47,9 +47,9 @@ def hide_ahead(log: Log, seconds: float, parts: int = 4) -> Log:
     if not seconds > 0.0:
         raise InputError(f"hide ahead: found {seconds} s, expected more than 0")
     window = torch.floor((log.time - log.time[0]) / seconds).long()
-    if int(window[-1].min()) < parts:
+    if int(window[-1].max()) < parts:  # beside a longer log a short one may be part of a window
         raise InputError(
-            f"hide ahead: found a log of {float((log.time[-1] - log.time[0]).min()):.6g} s, "
+            f"hide ahead: found a log of {float((log.time[-1] - log.time[0]).max()):.6g} s, "
             f"expected more than {parts} windows of {seconds:.6g} s"
         )
     masks = [((window % parts == i) & (window > 0)).to(log.z.dtype) for i in range(parts)]
