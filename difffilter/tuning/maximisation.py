@@ -200,16 +200,17 @@ def _moments(filter: Filter, log: Log, values: Values, start: Start | Belief | N
         track = run(filter, log, values, start)
         later = smoothed(filter, log, track, values, start)
         row = _rows(log, intervals)
-        before = [torch.cat([x.unsqueeze(0), y[:-1]]) for x, y in (
-            (first.mean, track.mean), (first.deviations, track.deviations)
-        )]  # fmt: skip
-        step = predict(filter, constants, Belief(*before), row)
+        mean, deviations = (
+            torch.cat([x.unsqueeze(0), y[:-1]])
+            for x, y in ((first.mean, track.mean), (first.deviations, track.deviations))
+        )
+        step = predict(filter, constants, Belief(mean, deviations), row)
         told = disturbance(step.moved, step.process)
         none = step.process.new_zeros(*later.mean.shape[:-1], step.process.shape[-1])
-        mean = told.mean(none, later.mean - step.mean)
+        noise = told.mean(none, later.mean - step.mean)
         spread = torch.cat([told.left, told.gain @ later.deviations], -1).square().sum(-1)
-        acts = (step.process != 0.0).any(-2).expand_as(mean)
-        process = _mean(mean.square() + spread, acts)
+        acts = (step.process != 0.0).any(-2).expand_as(noise)
+        process = _mean(noise.square() + spread, acts)
         errors = []
         at = 0
         for sensor in filter.sensors:
