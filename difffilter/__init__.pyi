@@ -92,6 +92,7 @@ from difffilter.robust.groups import channel_groups as channel_groups
 from difffilter.robust.recovery import Recovery as Recovery
 from difffilter.running.batch import run as run
 from difffilter.running.fixed_lag import FixedLag as FixedLag
+from difffilter.running.interpolation import interpolated as interpolated
 from difffilter.running.objectives import Sums as Sums
 from difffilter.running.objectives import objective as objective
 from difffilter.running.objectives import sum_losses as sum_losses
@@ -118,6 +119,7 @@ from difffilter.scoring.directions import mean_directions as mean_directions
 from difffilter.scoring.directions import nees_directions as nees_directions
 from difffilter.scoring.hiding import hide_ahead as hide_ahead
 from difffilter.scoring.hiding import hide_channels as hide_channels
+from difffilter.scoring.hiding import hide_windows as hide_windows
 from difffilter.scoring.losses import LOSSES as LOSSES
 from difffilter.scoring.losses import Loss as Loss
 from difffilter.scoring.losses import LossContext as LossContext

@@ -15,6 +15,7 @@ from difffilter.cli.options import (
     load_case,
     overrides,
     shows_progress,
+    whole,
     with_overrides,
 )
 from difffilter.cli.output import note, print_json, say
@@ -82,6 +83,10 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--lag", type=float, metavar="S", help="--smooth from rows until so many seconds later only"
     )
+    parser.add_argument(
+        "--passes", type=whole(0), metavar="N", default=0,
+        help="--smooth with weights anew from the smoothed residuals, so many times (0)",
+    )  # fmt: skip
     parser.add_set()
     parser.add_models()
     parser.add_engine()
@@ -104,8 +109,9 @@ def command(args: Namespace) -> int:
     """Run, write the estimates and the figure, print a summary."""
     check_place(args.out)
     check_place(args.plot)
-    if args.lag is not None and not args.smooth:
-        raise InputError("--lag: found without --smooth, expected both")
+    for option, given in (("lag", args.lag is not None), ("passes", args.passes > 0)):
+        if given and not args.smooth:
+            raise InputError(f"--{option}: found without --smooth, expected both")
     if Path(args.out).resolve() == Path(args.log).resolve():
         raise InputError(f"--out {args.out}: is the log itself, expected another file")
     asked = _chosen(args)
@@ -135,7 +141,7 @@ def command(args: Namespace) -> int:
         track = estimate(system, ready, frozen, **settings)
         windows = [(ready, track)]
         if args.smooth:
-            later = _smoothed(chosen, ready, track, args.lag)
+            later = _smoothed(chosen, ready, track, args)
     if isinstance(asked.scenario, Scenario):
         note_missing_run(asked.scenario, _run_name(args))
     tally = Tally(log, chosen.scenario.score)
@@ -147,6 +153,7 @@ def command(args: Namespace) -> int:
         again = Tally(log, chosen.scenario.score)
         again.add(later)
         result |= {"smoothed_rmse": again.summary()["rmse"], "lag": args.lag}
+        result |= {"passes": args.passes}
     if args.plot:
         title = f"{chosen.scenario.name}, {chosen.system}, values {chosen.label}"
         _plot(args.plot, log, track, title, later)
@@ -229,7 +236,7 @@ def _run_name(args: Namespace) -> str:
     return str(args.run or Path(args.log).stem)
 
 
-def _smoothed(chosen: Chosen, log: Log, track: Track, lag: float | None) -> Track:
+def _smoothed(chosen: Chosen, log: Log, track: Track, args: Namespace) -> Track:
     """The track smoothed, with the values that it was made with."""
     from difffilter.running.smoothing import check_smoothable, smoothed
 
@@ -239,7 +246,8 @@ def _smoothed(chosen: Chosen, log: Log, track: Track, lag: float | None) -> Trac
         log.only(system.channels),
         track,
         chosen.values.values if chosen.values else None,
-        lag=math.inf if lag is None else lag,
+        lag=math.inf if args.lag is None else args.lag,
+        passes=args.passes,
         temperature=chosen.values.temperature if chosen.values else None,
     )
 

@@ -33,9 +33,12 @@ class Hiding(Recipe):
 
     Attributes:
         recipe: what is tested.
+        smoothed: whether the smoother is asked, which knows the rows after a hidden one too
+            (:func:`difffilter.running.interpolation.interpolated`); a step asks the filter.
     """
 
     recipe: Recipe
+    smoothed: bool = False
 
     @property
     def states(self) -> tuple[str, ...]:

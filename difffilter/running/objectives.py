@@ -27,9 +27,13 @@ from torch import Tensor
 
 from difffilter.engine.choice import eager_seconds, with_engine
 from difffilter.errors import NonFiniteError
+from difffilter.filters.hiding import Hiding
+from difffilter.filters.recipe import Recipe
+from difffilter.logs.track import Track
 from difffilter.parameters.parameters import Values
 from difffilter.parameters.values import Constants
 from difffilter.running.batch import prepared, run
+from difffilter.running.interpolation import interpolated
 from difffilter.running.problem import Problem
 from difffilter.running.tangents import (
     constants_and_starts,
@@ -42,7 +46,7 @@ from difffilter.running.tangents import (
 )
 from difffilter.scoring.losses import LOSSES, check_losses, weighted, with_scenes
 
-__all__ = ["Problem", "Sums", "objective", "sum_losses"]
+__all__ = ["Problem", "Sums", "asks_smoother", "objective", "sum_losses"]
 
 
 class Sums(NamedTuple):
@@ -73,7 +77,8 @@ def sum_losses(problem: Problem, values: Values) -> Sums:
     """
     check_losses(problem.losses, problem.log)
     leaves = leaves_of(values)
-    summed = _torch_sums if problem.engine == "torch" else _fused_sums
+    eager = problem.engine == "torch" or asks_smoother(problem.recipe)
+    summed = _torch_sums if eager else _fused_sums
     found = summed(problem, values)
     if leaves:
         total = _Sums.apply(found.tangents, found.values, *leaves.values())  # type: ignore[no-untyped-call]
@@ -112,10 +117,7 @@ def _torch_sums(problem: Problem, values: Values) -> Sums:
     plain, leaves, rows = detached(values), leaves_of(values), with_scenes(log, context)
 
     def once(given: Values) -> tuple[list[Tensor], Tensor]:
-        track = run(
-            problem.recipe, log, given, problem.start,
-            temperature=problem.temperature, engine="torch",
-        )  # fmt: skip
+        track = _track(problem, given)
         parts = [LOSSES[name].rows(track, rows, context) for name in names]
         residuals = [
             loss.residuals(track, rows, context).reshape(log.steps, log.trajectories, -1)
@@ -158,7 +160,7 @@ def objective(
         InputError, NonFiniteError: as for :func:`difffilter.run`, and for a loss that is
             unknown or needs truth.
     """
-    recipe, log, losses = problem.recipe, problem.log, problem.losses
+    log, losses = problem.log, problem.losses
     check_losses(losses, log)
 
     def fused() -> tuple[Tensor, list[int]]:
@@ -166,9 +168,7 @@ def objective(
         return sums.values.sum(0), list(sums.sizes.values())
 
     def plain() -> tuple[Tensor, list[int]]:
-        track = run(
-            recipe, log, values, problem.start, temperature=problem.temperature, engine="torch"
-        )
+        track = _track(problem, values)
         rows = with_scenes(log, problem.context)
         parts = [
             LOSSES[name].rows(track, rows, problem.context).flatten(0, -2).sum(0)
@@ -177,10 +177,25 @@ def objective(
         return torch.cat(parts), [len(part) for part in parts]
 
     seconds = 4.0 * eager_seconds(log)
-    total, sizes = with_engine(problem.engine, fused, plain, seconds)
+    engine = "torch" if asks_smoother(problem.recipe) else problem.engine
+    total, sizes = with_engine(engine, fused, plain, seconds)
     split = torch.split(total if reduce is None else reduce(total), sizes)
     terms = {name: LOSSES[name].value(part) for name, part in zip(losses, split, strict=True)}
     return weighted(losses, terms), terms
+
+
+def asks_smoother(recipe: Recipe) -> bool:
+    """Whether the loss is of what the smoother foretells: no engine but torch sums that."""
+    return isinstance(recipe, Hiding) and recipe.smoothed
+
+
+def _track(problem: Problem, values: Values) -> Track:
+    """The run whose record the losses read, by torch."""
+    recipe, log, start = problem.recipe, problem.log, problem.start
+    settings: dict[str, Any] = {"temperature": problem.temperature, "engine": "torch"}
+    if isinstance(recipe, Hiding) and recipe.smoothed:
+        return interpolated(recipe.recipe, log, values, start, **settings)
+    return run(recipe, log, values, start, **settings)
 
 
 class _Sums(torch.autograd.Function):

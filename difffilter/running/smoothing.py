@@ -13,11 +13,13 @@ from difffilter.core.beliefs import Belief
 from difffilter.core.smooth import Backward
 from difffilter.engine.choice import eager_seconds, with_engine
 from difffilter.errors import InputError
+from difffilter.filters.filter import Filter
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
 from difffilter.motions.protocol import Motion
 from difffilter.parameters.parameters import Values
+from difffilter.parameters.values import Constants
 from difffilter.running.batch import check_finite, prepared, run
 from difffilter.running.links import Estimates, Links, adapted, check_smoothable, links, step_back
 from difffilter.running.reweighting import check_weighs, told, weights_of
@@ -64,25 +66,10 @@ def smooth(
     """
     if not lag >= 0.0:
         raise InputError(f"lag: found {lag}, expected 0 or more seconds")
-    filter = check_smoothable(recipe)
-    check_weighs(filter, passes)
-    track = run(
-        recipe, log, values, start, temperature=temperature, progress=progress, engine=engine
-    )
-    start = start if start is not None else log.start
-    settings: dict[str, Any] = {"lag": lag, "temperature": temperature, "engine": engine}
-    track = smoothed(recipe, log, track, values, start, **settings)
-    constants = prepared(filter, log, values, start, temperature)[0]
-    for _ in range(passes):
-        weight = weights_of(filter, constants, log, track)
-        again, weighed = told(filter, log, weight)
-        known = {n: v for n, v in (values or {}).items() if n in again.declarations}
-        track = run(again, weighed, known, start, temperature=temperature, engine="torch")
-        track = smoothed(again, weighed, track, known, start, **settings)
-        assert track.record is not None
-        record = track.record._replace(weight=weight, present=~torch.isnan(log.z))
-        track = replace(track, record=record)
-    return track
+    check_weighs(check_smoothable(recipe), passes)
+    settings: dict[str, Any] = {"temperature": temperature, "engine": engine}
+    track = run(recipe, log, values, start, progress=progress, **settings)
+    return smoothed(recipe, log, track, values, start, lag=lag, passes=passes, **settings)
 
 
 def smoothed(
@@ -93,6 +80,7 @@ def smoothed(
     start: Start | Belief | None = None,
     *,
     lag: float = math.inf,
+    passes: int = 0,
     temperature: float | None = None,
     engine: str = "auto",
 ) -> Track:
@@ -100,6 +88,35 @@ def smoothed(
     if not lag >= 0.0:
         raise InputError(f"lag: found {lag}, expected 0 or more seconds")
     filter = check_smoothable(recipe)
+    check_weighs(filter, passes)
+    start = start if start is not None else log.start
+    settings: dict[str, Any] = {"lag": lag, "temperature": temperature, "engine": engine}
+    track = _back(filter, log, track, values, start, **settings)
+    constants = prepared(filter, log, values, start, temperature)[0] if passes else Constants({})
+    for _ in range(passes):
+        weight = weights_of(filter, constants, log, track)
+        again, weighed = told(filter, log, weight)
+        known = {n: v for n, v in (values or {}).items() if n in again.declarations}
+        track = run(again, weighed, known, start, temperature=temperature, engine="torch")
+        track = _back(again, weighed, track, known, start, **settings)
+        assert track.record is not None
+        record = track.record._replace(weight=weight, present=~torch.isnan(log.z))
+        track = replace(track, record=record)
+    return track
+
+
+def _back(
+    filter: Filter,
+    log: Log,
+    track: Track,
+    values: Values | None,
+    start: Start | Belief | None,
+    *,
+    lag: float,
+    temperature: float | None,
+    engine: str,
+) -> Track:
+    """The way back, once."""
     constants, first, intervals = prepared(filter, log, values, start, temperature)
     if log.steps == 1:
         return track

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 __all__ = ["HIDES", "OPTIMISERS", "TuneSettings"]
 
 #: What is hidden from the filter so that losses are of predictions.
-HIDES = ("nothing", "channels", "sensors", "ahead")
+HIDES = ("nothing", "channels", "sensors", "ahead", "windows")
 OPTIMISERS = ("auto", "gauss-newton", "adam", "lbfgs", "random", "nelder-mead", "cma-es")
 
 
@@ -45,8 +45,9 @@ class TuneSettings:
         scatter: standard deviation of that scattering, in unconstrained numbers.
         degrees: degrees of freedom of the likelihood loss's Student density.
         hide: what the filter is not given in tuning, and is asked for instead: each channel
-            in turn (``channels``), each sensor (``sensors``), or windows of ``ahead`` seconds
-            (``ahead``). Losses are then of the hidden innovations.
+            in turn (``channels``), each sensor (``sensors``), windows of ``ahead`` seconds
+            (``ahead``), or such windows drawn at random and asked of the smoother
+            (``windows``). Losses are then of the hidden innovations.
         ahead: s.
         window: rows of a training window of recorded logs.
         refresh: gradient steps between refreshes of the windows' warm starts.

@@ -1,8 +1,9 @@
 """Which measurements of a log are hidden, so that the rest can be asked for them.
 
-Two ways, told apart by what they can see. One sensor or channel at a time is predicted from
+Ways told apart by what they can see. One sensor or channel at a time is predicted from
 the others: an error of a channel that lasts is foretold by nobody else. Or all of a window
-is predicted from what came before it, some seconds ahead: the motion has to carry it.
+is predicted from what came before it, some seconds ahead: the motion has to carry it. Or random
+windows are asked of the smoother, which knows what came after them too.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from difffilter.errors import InputError
 from difffilter.filters.hiding import HIDDEN
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
+from difffilter.seeds import stream
 
-__all__ = ["hide_ahead", "hide_channels", "per_sensor"]
+__all__ = ["hide_ahead", "hide_channels", "hide_windows", "per_sensor"]
 
 
 def hide_channels(log: Log, groups: tuple[tuple[int, ...], ...] | None = None) -> Log:
@@ -44,16 +46,39 @@ def hide_ahead(log: Log, seconds: float, parts: int = 4) -> Log:
     Raises:
         InputError: seconds that are none, or a log that is shorter than a window of each part.
     """
+    window = _windows(log, seconds, parts, "hide ahead")
+    masks = [((window % parts == i) & (window > 0)).to(log.z.dtype) for i in range(parts)]
+    return _variants(log, [m.unsqueeze(-1).expand(*m.shape, len(log.channels)) for m in masks])
+
+
+def hide_windows(log: Log, seconds: float, parts: int = 4, seed: int = 0) -> Log:
+    """The log ``parts`` times; each window of ``seconds`` is hidden in a part drawn at random.
+
+    Windows that stand side by side may fall to the same part, so that gaps have all lengths;
+    the first is hidden in none. Shares of a trajectory's rows: 1 / ``parts`` in each.
+
+    Raises:
+        InputError: as for :func:`hide_ahead`.
+    """
+    window = _windows(log, seconds, parts, "hide windows")
+    drawn = torch.randint(parts, (int(window.max()) + 1,), generator=stream(seed, "windows"))
+    drawn[0] = parts
+    part = drawn[window]
+    masks = [(part == i).to(log.z.dtype) for i in range(parts)]
+    return _variants(log, [m.unsqueeze(-1).expand(*m.shape, len(log.channels)) for m in masks])
+
+
+def _windows(log: Log, seconds: float, parts: int, what: str) -> Tensor:
+    """(T,) or (T, B), the window that each row is of."""
     if not seconds > 0.0:
-        raise InputError(f"hide ahead: found {seconds} s, expected more than 0")
+        raise InputError(f"{what}: found {seconds} s, expected more than 0")
     window = torch.floor((log.time - log.time[0]) / seconds).long()
     if int(window[-1].max()) < parts:  # beside a longer log a short one may be part of a window
         raise InputError(
-            f"hide ahead: found a log of {float((log.time[-1] - log.time[0]).max()):.6g} s, "
+            f"{what}: found a log of {float((log.time[-1] - log.time[0]).max()):.6g} s, "
             f"expected more than {parts} windows of {seconds:.6g} s"
         )
-    masks = [((window % parts == i) & (window > 0)).to(log.z.dtype) for i in range(parts)]
-    return _variants(log, [m.unsqueeze(-1).expand(*m.shape, len(log.channels)) for m in masks])
+    return window
 
 
 def per_sensor(recipe: Recipe) -> tuple[tuple[int, ...], ...]:

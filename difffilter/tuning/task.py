@@ -20,15 +20,16 @@ from difffilter.logs.log import Log
 from difffilter.logs.track import Track
 from difffilter.parameters.parameters import ParameterSet, Values
 from difffilter.running.batch import run
-from difffilter.running.objectives import objective, sum_losses
+from difffilter.running.objectives import asks_smoother, objective, sum_losses
 from difffilter.running.problem import Problem
+from difffilter.running.smoothing import check_smoothable
 from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import lean, started
 from difffilter.scenario.families import family
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
-from difffilter.scoring.hiding import hide_ahead, hide_channels, per_sensor
+from difffilter.scoring.hiding import hide_ahead, hide_channels, hide_windows, per_sensor
 from difffilter.scoring.losses import LOSSES, LossContext
 from difffilter.scoring.metrics import squared_error
 from difffilter.seeds import stream
@@ -77,7 +78,10 @@ class Task:
     @property
     def runner(self) -> Recipe:
         """What runs: the filter, or the filter without what is hidden from it."""
-        return self.filter if self.settings.hide == "nothing" else Hiding(self.filter)
+        hide = self.settings.hide
+        if hide == "windows":
+            check_smoothable(self.filter)
+        return self.filter if hide == "nothing" else Hiding(self.filter, hide == "windows")
 
     def hidden(self, log: Log) -> Log:
         """The log, as often as there are ways to hide a part of it."""
@@ -91,6 +95,8 @@ class Task:
             )
         if self.settings.hide == "ahead":
             return hide_ahead(log, self.settings.ahead)
+        if self.settings.hide == "windows":
+            return hide_windows(log, self.settings.ahead, seed=self.seed)
         if self.settings.hide == "channels":
             return hide_channels(log)
         return hide_channels(log, per_sensor(self.filter))
@@ -272,6 +278,10 @@ class Task:
     def _pick(self) -> str:
         """``auto`` tries the compiled engine on a few trajectories."""
         settings, log = self.settings, self.check.log
+        if asks_smoother(self.runner):
+            if self.asked == "fused":
+                raise InputError(f"hide {settings.hide}: found engine fused, expected torch")
+            return "torch"
         seconds = 5.0 * settings.starts * settings.steps * eager_seconds(log)
         few = Problem(
             self.runner,

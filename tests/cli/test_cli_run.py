@@ -175,6 +175,10 @@ def test_smoothed_beside_filtered(place: Path, capsys: Any) -> None:
     assert "--lag: found without --smooth" in alone
     below = fails(capsys, "run", *system, "--smooth", "--lag=-1", "--out", "o.csv")
     assert "lag: found -1" in below
+    alone = fails(capsys, "run", *system, "--passes", "1", "--out", "o.csv")
+    assert "--passes: found without --smooth" in alone
+    plain_weight = fails(capsys, "run", *system, "--smooth", "--passes", "1", "--out", "o.csv")
+    assert "passes: found a filter whose weight is plain" in plain_weight
     assert not Path("o.csv").exists()
 
 
