@@ -34,6 +34,8 @@ from difffilter.comparison.table import Row as Row
 from difffilter.comparison.worlds import Worlds as Worlds
 from difffilter.comparison.worlds import compare_family as compare_family
 from difffilter.comparison.worlds import compare_worlds as compare_worlds
+from difffilter.comparison.without_truth import Untold as Untold
+from difffilter.comparison.without_truth import compare_without_truth as compare_without_truth
 from difffilter.core.beliefs import Belief as Belief
 from difffilter.core.beliefs import Measurement as Measurement
 from difffilter.core.beliefs import Record as Record

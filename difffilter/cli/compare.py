@@ -13,6 +13,7 @@ from difffilter.errors import InputError
 from difffilter.files import json_text, write_atomically
 
 if TYPE_CHECKING:
+    from difffilter.logs.log import Log
     from difffilter.scenario.case import Case
     from difffilter.scenario.checkpoint import Checkpoint
 
@@ -57,7 +58,10 @@ def add(commands: Commands) -> None:
     parser.add_argument("--trajectories", type=whole(1), help=f"how many ({TRAJECTORIES})")
     parser.add_argument("--seed", type=whole(0), help=f"of the held-out trajectories ({SEED})")
     parser.add_argument(
-        "--log", metavar="FILE", nargs="+", help="recorded logs with truth, instead of simulation"
+        "--log",
+        metavar="FILE",
+        nargs="+",
+        help="recorded logs, instead of simulation; without truth, by what is foretold of them",
     )
     parser.add_argument(
         "--worlds",
@@ -101,6 +105,8 @@ def command(args: Namespace) -> int:
             raise InputError(f"--{option}: found beside --worlds, expected one of them")
     if args.worlds:
         return _worlds(args, scenario, values, options)
+    if log is not None and log.truth is None:
+        return _without_truth(args, scenario, values, log, systems)
 
     from difffilter.comparison.comparison import compare, unsmoothable
 
@@ -147,6 +153,32 @@ def _worlds(
         print_json(found.as_dict())
     else:
         say(head + text.rstrip("\n"))
+    return 0
+
+
+def _without_truth(
+    args: Namespace,
+    scenario: Case,
+    values: dict[str, Checkpoint | None],
+    log: Log,
+    systems: tuple[str, ...],
+) -> int:
+    """Compare by what is foretold, print, write."""
+    from difffilter.comparison.without_truth import compare_without_truth
+
+    for option in ("smooth", "states"):
+        if getattr(args, option):
+            raise InputError(f"--{option}: found logs without truth, expected truth columns")
+    found = compare_without_truth(scenario, values, log=log, systems=systems, engine=args.engine)
+    as_json, text = json_text(found.as_dict()), found.markdown()
+    if args.out:
+        write_atomically(args.out, as_json + "\n" if args.out.endswith(".json") else text)
+    if args.json:
+        print_json(found.as_dict())
+    else:
+        count = f"recorded logs without truth: {found.trajectories}"
+        hidden = f"hidden windows of {found.seconds:.6g} s"
+        say(f"{scenario.name}: {count}; {hidden}\n\n{text}".rstrip("\n"))
     return 0
 
 

@@ -34,7 +34,10 @@ def add(commands: Commands) -> None:
         example=EXAMPLE,
     )
     parser.add_argument("checkpoint", metavar="CHECKPOINT", nargs="+", help=".json checkpoints")
-    parser.add_argument("--log", metavar="FILE", nargs="+", help="held-out recorded logs")
+    parser.add_argument(
+        "--log", metavar="FILE", nargs="+",
+        help="held-out recorded logs; without truth, by what is foretold of them",
+    )  # fmt: skip
     parser.add_argument(
         "--trajectories", type=whole(2), default=200, help="simulated held-out ones (200)"
     )
@@ -77,21 +80,28 @@ def command(args: Namespace) -> int:
 
     from difffilter.reports.report import Report
     from difffilter.verdict.judge import verdict, write_index
+    from difffilter.verdict.without_truth import index_without_truth, verdict_without_truth
 
     settings = {"seed": args.seed, "trajectories": args.trajectories}
     names = _names(args.checkpoint)
     several = len(held) > 1
     judged: dict[str, tuple[str, dict[str, Any]]] = {}
+    untold = False
     for name, checkpoint in zip(names, held, strict=True):
         folder = Path(args.out, name) if several else Path(args.out)
         report = Report(folder, f"{name}: published against tuned", settings)
         log = read_logs(checkpoint.scenario, args.log)
-        text = verdict(
-            report, checkpoint, args.trajectories, args.seed, log=log,
-            train=read_logs(checkpoint.scenario, args.train), name=name,
-            seeds=range(args.contest), progress=not args.quiet and sys.stderr.isatty(),
-            engine=args.engine, bound=args.bound, guaranteed=args.guarantee,
-        )  # fmt: skip
+        if log is not None and log.truth is None:
+            untold = True
+            _no_contest(args)
+            text = verdict_without_truth(report, checkpoint, log, name=name, engine=args.engine)
+        else:
+            text = verdict(
+                report, checkpoint, args.trajectories, args.seed, log=log,
+                train=read_logs(checkpoint.scenario, args.train), name=name,
+                seeds=range(args.contest), progress=not args.quiet and sys.stderr.isatty(),
+                engine=args.engine, bound=args.bound, guaranteed=args.guarantee,
+            )  # fmt: skip
         say(f"{name}, {checkpoint.system}: {text}")
         path = report.write()
         where = f"{name}/report.html" if several else "report.html"
@@ -103,10 +113,19 @@ def command(args: Namespace) -> int:
         report = Report(args.out, "Published against tuned", settings)
         for key, (text, data) in judged.items():
             report.verdict(key, text, data)
-        write_index(report, {key: data for key, (_, data) in judged.items()})
+        index = index_without_truth if untold else write_index
+        index(report, {key: data for key, (_, data) in judged.items()})
         path = report.write()
     say(f"report written to {path.with_suffix('.html')}")
     return 0
+
+
+def _no_contest(args: Namespace) -> None:
+    """Tuners are compared by their errors."""
+    for option in ("contest", "train", "bound", "guarantee"):
+        if not getattr(args, option):
+            continue
+        raise InputError(f"--{option}: found --log without truth, expected truth columns")
 
 
 def _names(paths: list[str]) -> list[str]:

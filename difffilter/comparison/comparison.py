@@ -98,8 +98,8 @@ def compare(
     )
     if held_out.truth is None:
         raise InputError(
-            "compare: needs truth columns in the logs, found none; without truth, tune with the "
-            "loss likelihood, and let inspect and run tell NIS and residuals"
+            "compare: needs truth columns in the logs, found none; compare_without_truth asks "
+            "what each filter foretells"
         )
     if smooth and not any(unsmoothable(one.recipe) == "" for one in chosen):
         raise InputError(unsmoothable(chosen[0].recipe))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import torch
@@ -12,6 +11,7 @@ from difffilter.errors import InputError
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
 from difffilter.scoring.differences import scored_difference, scored_rows
+from difffilter.scoring.foretelling import surprise
 from difffilter.scoring.loss import (
     LOSSES,
     MEMBERS,
@@ -79,11 +79,7 @@ def _likelihood_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     record = track.record
     if record is None:
         raise InputError("likelihood: expected a filter with records")
-    nu = context.degrees
-    variance = record.innovation_variance
-    constant = math.lgamma((nu + 1.0) / 2.0) - math.lgamma(nu / 2.0) - 0.5 * math.log(nu * math.pi)
-    ratio = record.innovation.square() / (nu * variance)
-    density = 0.5 * variance.log() + 0.5 * (nu + 1.0) * ratio.log1p() - constant
+    density = surprise(record.innovation, record.innovation_variance, context.degrees)
     density = torch.where(record.present, density, 0.0).sum(-1)
     return _counted(density, record.present.sum(-1))
 

@@ -27,7 +27,9 @@ __all__ = [
     "bootstrap_indices",
     "bootstrap_interval",
     "difference",
+    "in_blocks",
     "isolated",
+    "mean_interval",
     "mean_nees",
     "nees",
     "nees_states",
@@ -165,7 +167,7 @@ def bootstrap_interval(
     Args:
         squared: (T, B) squared errors; rows: (T, B) which count.
     """
-    total, count = _per_trajectory(squared, rows)
+    total, count = in_blocks(torch.where(rows, squared, 0.0), rows)
     at = bootstrap_indices(total.shape[0], draws, seed)
     values = (total[at].sum(1) / count[at].sum(1)).sqrt()
     return _quantiles(values)
@@ -183,16 +185,31 @@ def paired_ratio(
     The same resampled trajectories (or blocks of few) serve both, so that what they share
     cancels.
     """
-    total, _ = _per_trajectory(squared, rows)
-    base, _ = _per_trajectory(reference, rows)
+    total, _ = in_blocks(torch.where(rows, squared, 0.0), rows)
+    base, _ = in_blocks(torch.where(rows, reference, 0.0), rows)
     at = bootstrap_indices(total.shape[0], draws, seed)
     values = (total[at].sum(1) / base[at].sum(1)).sqrt()
     return (float((total.sum() / base.sum()).sqrt()), *_quantiles(values))
 
 
-def _per_trajectory(squared: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-    squared = torch.where(rows, squared, 0.0)
-    total, count = squared.reshape(len(squared), -1), rows.reshape(len(rows), -1)
+def mean_interval(
+    total: Tensor, count: Tensor, draws: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """The mean of sums (T, B) over counts (T, B), with its 95 % interval from trajectories.
+
+    Of fewer than ``FEW`` trajectories from blocks of rows. NaN where nothing counts.
+    """
+    sums, counts = in_blocks(total, count)
+    if not len(sums):
+        return (float("nan"),) * 3
+    at = bootstrap_indices(sums.shape[0], draws, seed)
+    values = sums[at].sum(1) / counts[at].sum(1)
+    return (float(sums.sum() / counts.sum()), *_quantiles(values))
+
+
+def in_blocks(total: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
+    """Sums and counts (T, B) added up over each trajectory; of few, over blocks that count."""
+    total, count = total.reshape(len(total), -1), count.reshape(len(count), -1)
     if total.shape[1] < FEW:
         blocks = -(-FEW // total.shape[1])
         length = -(-len(total) // blocks)

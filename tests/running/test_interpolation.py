@@ -92,7 +92,7 @@ def test_the_loss_is_of_the_smoothed_innovations() -> None:
 
 def test_tune_on_random_windows() -> None:
     """The road that ``hide = "windows"`` takes; the compiled engine is refused by name."""
-    recipe, log = replace(RECIPE, start_sigma=(3.0, 3.0)), replace(log_of(20), start=None)
+    recipe, log = replace(RECIPE, start_sigma=(3.0, 3.0)), replace(log_of(40), start=None)
     settings = {"hide": "windows", "ahead": 1.5, "steps": 1, "loss": {"likelihood": 1.0}}
     found = df.tune(recipe, log, tuned=["position.sigma"], settings=settings)
     assert torch.isfinite(found.checkpoint.values["position.sigma"])
