@@ -31,11 +31,11 @@ from difffilter.comparison.optimality import fsp_surface as fsp_surface
 from difffilter.comparison.optimality import ratio_gain as ratio_gain
 from difffilter.comparison.table import Comparison as Comparison
 from difffilter.comparison.table import Row as Row
+from difffilter.comparison.without_truth import Untold as Untold
+from difffilter.comparison.without_truth import compare_without_truth as compare_without_truth
 from difffilter.comparison.worlds import Worlds as Worlds
 from difffilter.comparison.worlds import compare_family as compare_family
 from difffilter.comparison.worlds import compare_worlds as compare_worlds
-from difffilter.comparison.without_truth import Untold as Untold
-from difffilter.comparison.without_truth import compare_without_truth as compare_without_truth
 from difffilter.core.beliefs import Belief as Belief
 from difffilter.core.beliefs import Measurement as Measurement
 from difffilter.core.beliefs import Record as Record
