@@ -29,14 +29,14 @@ from difffilter.scenario.families import family
 from difffilter.scenario.scenario import Scenario
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.simulation import simulate
-from difffilter.scoring.hiding import hide_ahead, hide_channels, hide_windows, per_sensor
-from difffilter.scoring.losses import LOSSES, LossContext
+from difffilter.scoring.losses import LossContext
 from difffilter.scoring.metrics import squared_error
 from difffilter.seeds import stream
 from difffilter.tuning.curvature import Expansion, expand
 from difffilter.tuning.data import Batch, Trajectories, Windows
 from difffilter.tuning.guards import Held, held_to
 from difffilter.tuning.held_back import Check, hold_back
+from difffilter.tuning.hidden import hidden
 from difffilter.tuning.optimisers import chosen
 from difffilter.tuning.processes import Ranks
 from difffilter.tuning.search import SEARCHES
@@ -85,21 +85,7 @@ class Task:
 
     def hidden(self, log: Log) -> Log:
         """The log, as often as there are ways to hide a part of it."""
-        if self.settings.hide == "nothing":
-            return log
-        told = [name for name in self.settings.loss if LOSSES[name].needs_truth]
-        if told:
-            free = ", ".join(n for n, loss in LOSSES.items() if not loss.needs_truth)
-            raise InputError(
-                f"hide {self.settings.hide}: found loss {told[0]}, expected some of {free}"
-            )
-        if self.settings.hide == "ahead":
-            return hide_ahead(log, self.settings.ahead)
-        if self.settings.hide == "windows":
-            return hide_windows(log, self.settings.ahead, seed=self.seed)
-        if self.settings.hide == "channels":
-            return hide_channels(log)
-        return hide_channels(log, per_sensor(self.filter))
+        return hidden(log, self.settings, self.filter, self.seed)
 
     @cached_property
     def context(self) -> LossContext:
