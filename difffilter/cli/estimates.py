@@ -174,8 +174,8 @@ def columns(log: Log, track: Track, covariance: bool = False) -> dict[str, Tenso
     found: dict[str, Tensor] = {"time": time}
     for i, state in enumerate(track.states):
         found[state] = track.mean[:, 0, i]
-    for i, state in enumerate(track.states):
-        found[f"{state}_std"] = track.std[:, 0, i]
+    for i, error in enumerate(track.errors):
+        found[f"{error}_std"] = track.std[:, 0, i]
     weight = _weights(log, track)
     for i, channel in enumerate(track.channels):
         found[f"{channel}_weight"] = weight[:, 0, i]
@@ -191,15 +191,15 @@ def _covariances(track: Track, suffix: str = "") -> dict[str, Tensor]:
     full = track.covariance
     return {
         f"cov_{b}_{a}{suffix}": full[:, 0, i, j]
-        for i, a in enumerate(track.states)
-        for j, b in enumerate(track.states[:i])
+        for i, a in enumerate(track.errors)
+        for j, b in enumerate(track.errors[:i])
     }
 
 
 def _later(track: Track, covariance: bool) -> dict[str, Tensor]:
     """Columns of smoothed estimates."""
     found = {f"{name}_smoothed": track.mean[:, 0, i] for i, name in enumerate(track.states)}
-    std = {f"{name}_smoothed_std": track.std[:, 0, i] for i, name in enumerate(track.states)}
+    std = {f"{name}_smoothed_std": track.std[:, 0, i] for i, name in enumerate(track.errors)}
     return found | std | (_covariances(track, "_smoothed") if covariance else {})
 
 

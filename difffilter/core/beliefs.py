@@ -97,14 +97,17 @@ class Record(NamedTuple):
         return log_density(self.observed, self.noise, self.innovation, self.present)
 
 
-def belief(mean: Tensor, covariance: Tensor) -> Belief:
+def belief(mean: Tensor, covariance: Tensor, size: int | None = None) -> Belief:
     """Belief from a mean (..., n) and a positive semidefinite covariance (..., n, n).
+
+    Args:
+        size: rows of the covariance, where the mean has other numbers than its errors.
 
     Raises:
         InputError: shapes that do not fit, entries that are not finite, a covariance that
             is not symmetric or has a negative eigenvalue.
     """
-    n = mean.shape[-1]
+    n = mean.shape[-1] if size is None else size
     if covariance.shape[-2:] != (n, n):
         raise InputError(
             f"covariance: found shape {list(covariance.shape)}, expected (..., {n}, {n})"

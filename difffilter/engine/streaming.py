@@ -106,11 +106,11 @@ class Stream:
 
     def place(self, bad: int) -> tuple[str, int]:
         """What holds the number at 1 + its place: ``mean``, ``covariance``, and the state."""
-        n = self._layout.shapes["mean"][0]
+        n, p = self._layout.shapes["mean"][0], self._layout.shapes["deviations"][0]
         at = bad - 1
         if at < n:
             return "mean", at
-        return "covariance", min((at - n) // n, n - 1)
+        return "covariance", min((at - n) // p, p - 1)
 
 
 def _at(x: Tensor) -> ctypes.c_void_p:

@@ -81,7 +81,8 @@ def _files(
     constants = filter.prepare(checkpoint.values, checkpoint.temperature)
     zero = torch.zeros((), dtype=torch.float64)
     n = len(filter.states)
-    begin = filter.start(torch.zeros(n).double(), torch.eye(n, dtype=torch.float64))
+    p = len(filter.error_states)
+    begin = filter.start(torch.zeros(n).double(), torch.eye(p, dtype=torch.float64))
     known = _inputs(checkpoint, filter, constants, begin)
     step = trace(filter, constants, begin, dict.fromkeys(known, zero))
     made = golden(checkpoint, filter, known)
@@ -95,6 +96,7 @@ def _files(
         "name": name,
         "guard": name.upper(),
         "n": n,
+        "p": p,
         "m": len(filter.channels),
         "other": "DOUBLE" if single else "FLOAT",
         "other_word": "double" if single else "float",

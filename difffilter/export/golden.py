@@ -13,6 +13,7 @@ from difffilter.export.rows import rows
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
+from difffilter.motions.retraction import lifted
 from difffilter.parameters.parameters import Values
 from difffilter.running.batch import run
 from difffilter.scenario.checkpoint import Checkpoint
@@ -38,9 +39,10 @@ class Golden(NamedTuple):
 
     Attributes:
         log: one trajectory with missing channels and irregular times.
-        dt: (T,); mean (n,) and deviations (n, n): of the start.
-        means: (T, n); covariances: (T, n, n); spread: (T, n), the standard deviations in which
-            deviations of both are told.
+        dt: (T,); mean (n,) and deviations (p, p): of the start.
+        means: (T, n); covariances: (T, p, p); spread: (T, p) and size: (T, n), the standard
+            deviations in which those of covariances and of means are told: the same but for
+            states that are no plain numbers.
         results: what the step tells of each channel, (T, m) each, and ``deviation`` (T, m), the
             innovation's standard deviation.
         tolerance: of double and of float, in the spread and of weights and gates.
@@ -53,6 +55,7 @@ class Golden(NamedTuple):
     means: Tensor
     covariances: Tensor
     spread: Tensor
+    size: Tensor
     results: dict[str, Tensor]
     tolerance: tuple[float, float]
 
@@ -85,8 +88,8 @@ def _vectors(checkpoint: Checkpoint, filter: Recipe, log: Log) -> Golden:
 
     made = track(log, values)
     rough = track(log.to(torch.float32), {name: value.float() for name, value in values.items()})
-    spread = _spread(made)
-    apart = _apart(rough, made, spread)
+    spread, size = _spread(made, filter)
+    apart = _apart(rough, made, spread, size)
     # Where the rows amplify rounding they do so in both precisions alike.
     double = max(MARGIN[0] * FINER * apart, LEAST[0])
     single = max(MARGIN[1] * apart, LEAST[1])
@@ -98,15 +101,24 @@ def _vectors(checkpoint: Checkpoint, filter: Recipe, log: Log) -> Golden:
         means=made.mean,
         covariances=made.covariance,
         spread=spread,
+        size=size,
         results=_results(made),
         tolerance=(double, single),
     )
 
 
-def _spread(track: Track) -> Tensor:
-    """Standard deviation (T, n) of each state, not below a share of the state's size."""
+def _spread(track: Track, filter: Recipe) -> tuple[Tensor, Tensor]:
+    """Standard deviation (T, p) of each error and (T, n) of each state.
+
+    Not below a share of the state's size.
+    """
     sigma = track.covariance.diagonal(dim1=-2, dim2=-1).clamp(min=0.0).sqrt()
-    return torch.maximum(sigma, FLOOR * track.mean.abs().clamp(min=1.0))
+    least = FLOOR * track.mean.abs().clamp(min=1.0)
+    if filter.motion.flat:
+        sigma = torch.maximum(sigma, least)
+        return sigma, sigma
+    columns = lifted(filter.motion, track.mean, track.deviations)
+    return sigma.clamp(min=FLOOR), torch.maximum(columns.square().sum(-1).sqrt(), least)
 
 
 def _results(track: Track) -> dict[str, Tensor]:
@@ -122,12 +134,12 @@ def _results(track: Track) -> dict[str, Tensor]:
     }
 
 
-def _apart(found: Track, expected: Track, spread: Tensor) -> float:
+def _apart(found: Track, expected: Track, spread: Tensor, size: Tensor) -> float:
     """What the self-test measures: the largest deviation, in standard deviations."""
     a, b = _results(found), _results(expected)
     both = spread.unsqueeze(-1) * spread.unsqueeze(-2)
     parts = [
-        (found.mean.double() - expected.mean) / spread,
+        (found.mean.double() - expected.mean) / size,
         (found.covariance.double() - expected.covariance) / both,
         (a["innovation"].double() - b["innovation"]) / b["deviation"],
         (a["standardised"].double() - b["standardised"]) / b["standardised"].abs().clamp(min=1.0),

@@ -51,7 +51,10 @@ def header(
     default = (
         f"#if !defined({guard}_FLOAT) && !defined({guard}_DOUBLE)\n#define {guard}_FLOAT\n#endif\n"
     )
+    errors = filter.error_states
+    rows = f"#define {guard}_ERRORS {len(errors)} /* rows of deviations: {', '.join(errors)} */\n"
     return {
+        "errors": "" if errors == filter.states else rows,
         "about": c_comment(f"{checkpoint.scenario.name}, system {checkpoint.system}"),
         "version": version("difffilter"),
         "family": about(checkpoint),

@@ -43,13 +43,18 @@ def rows(checkpoint: Checkpoint, filter: Recipe, known: Sequence[str], seed: int
     """
     values = checkpoint.values
     world = checkpoint.scenario.world is not None and filter is checkpoint.published_filter
-    log = _simulated(checkpoint, known, seed) if world else _walk(filter, values, known, seed)
+    if world:
+        log = _simulated(checkpoint, known, seed)
+    else:
+        given = getattr(checkpoint.scenario, "start", None)
+        centre = given.mean if isinstance(given, Start) else _centre(filter)
+        log = _walk(filter, values, known, seed, centre)
     log = _holed(_disturbed(log, filter, values, seed), seed)
     assert log.start is not None
     start = log.start
     own = start.covariance
-    given = own is not None and not bool(torch.isnan(own).all())
-    sigma = own.diagonal().sqrt() if own is not None and given else _sigma(filter, values, known)
+    told = own is not None and not bool(torch.isnan(own).all())
+    sigma = own.diagonal().sqrt() if own is not None and told else _sigma(filter, values, known)
     return replace(log, start=Start(start.mean, _correlated(sigma), start.time))
 
 
@@ -79,13 +84,15 @@ def _simulated(checkpoint: Checkpoint, known: Sequence[str], seed: int) -> Log:
     )  # fmt: skip
 
 
-def _walk(filter: Recipe, values: Values, known: Sequence[str], seed: int) -> Log:
-    """A straight walk that begins among the stations."""
+def _walk(
+    filter: Recipe, values: Values, known: Sequence[str], seed: int, centre: Tensor
+) -> Log:
+    """A straight walk that begins among the stations, or at the model's own start."""
     generator = stream(seed, "golden")
     constants = filter.prepare(values)
-    scale, centre = _sigma(filter, values, known), _centre(filter)
+    scale, motion = _sigma(filter, values, known), filter.motion
     moved = torch.where(scale > 0.0, scale, 1.0)  # also where the start is certain
-    state = centre + 1.5 * moved
+    state = motion.retract(centre, 1.5 * moved)
     time = torch.arange(1, ROWS + 1, dtype=torch.float64) * DT
     ramp = torch.linspace(0.0, float(scale.max()), ROWS, dtype=torch.float64)
     inputs = {name: ramp * (-1.0) ** i for i, name in enumerate(known)}  # across the target's way
@@ -93,12 +100,15 @@ def _walk(filter: Recipe, values: Values, known: Sequence[str], seed: int) -> Lo
     for k in range(ROWS):
         row = {name: value[k] for name, value in inputs.items()}
         step = torch.tensor(DT, dtype=torch.float64)
-        state = filter.motion.transition(state, step, row, constants)
+        state = motion.transition(state, step, row, constants)
         parts = [sensor.predict(state, row, constants) for sensor in filter.sensors]
         noise = stacked_noise(filter.sensors, state, row, constants).total
         draw = torch.randn(len(noise), generator=generator, dtype=torch.float64)
         found.append(torch.cat(parts) + noise.sqrt() * draw)
-    start = Start(torch.where(scale > 0.0, centre + scale, state), None, 0.0)
+    begin = motion.retract(centre, scale)
+    if motion.flat:
+        begin = torch.where(scale > 0.0, begin, state)
+    start = Start(begin, None, 0.0)
     return Log(filter.channels, time, torch.stack(found), inputs=inputs, start=start)
 
 
@@ -120,9 +130,9 @@ def _centre(filter: Recipe) -> Tensor:
 
 
 def _sigma(filter: Recipe, values: Values, known: Sequence[str]) -> Tensor:
-    """Standard deviation (n,) of each state at the start: the filter's own, else a likely one."""
+    """Standard deviation (p,) of each error at the start: the filter's own, else a likely one."""
     constants = filter.prepare(values)
-    n = len(filter.states)
+    n = len(filter.error_states)
     if "start.sigma" in constants:
         own = constants["start.sigma"].expand(len(filter.bare_states))
         return torch.cat([own, constants[SIGMA]]) if SIGMA in constants else own

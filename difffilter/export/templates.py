@@ -21,7 +21,7 @@ typedef double {name}_real;
 #endif
 
 #define {guard}_STATES {n}
-#define {guard}_CHANNELS {m}
+{errors}#define {guard}_CHANNELS {m}
 
 /* The frozen values. Others follow from them in {name}.c: to change one, export again. */
 {constants}
@@ -39,7 +39,7 @@ typedef struct {{
 
 /* Start a belief; deviations is any factor X of the covariance, for example lower Cholesky. */
 void {name}_start({name}_belief *belief, const {name}_real mean[{n}],
-        {name}_real deviations[{n}][{n}]);
+        {name}_real deviations[{p}][{p}]);
 
 /* One step. present[i] is 0 where channel i is missing (z[i] is then not read); result may be
    NULL. Returns 0, 1 where the new belief is not finite, 2 where dt is not 0 or more; the belief
@@ -109,7 +109,7 @@ SOURCE = """\
 /* What follows from the frozen values. */
 {derived}
 
-void {name}_start({name}_belief *belief, const REAL mean[{n}], REAL deviations[{n}][{n}])
+void {name}_start({name}_belief *belief, const REAL mean[{n}], REAL deviations[{p}][{p}])
 {{
     memcpy(belief->mean, mean, sizeof belief->mean);
     memcpy(belief->deviations, deviations, sizeof belief->deviations);
@@ -117,13 +117,13 @@ void {name}_start({name}_belief *belief, const REAL mean[{n}], REAL deviations[{
 
 static int finite_numbers(const {name}_belief *belief)
 {{
-    for (int i = 0; i < {n}; i++) {{
+    for (int i = 0; i < {n}; i++)
         if (!isfinite(belief->mean[i]))
             return 0;
-        for (int j = 0; j < {n}; j++)
+    for (int i = 0; i < {p}; i++)
+        for (int j = 0; j < {p}; j++)
             if (!isfinite(belief->deviations[i][j]))
                 return 0;
-    }}
     return 1;
 }}
 
@@ -148,6 +148,7 @@ GOLDEN = """\
 /* What the filter in Python makes of {rows} rows. Generated; do not edit. */
 #define ROWS {rows}
 #define N {n}
+#define P {p}
 #define M {m}
 /* Of mean, covariance and innovations in their standard deviations, and of standardised
    innovations, weights and gates. In float: twenty times the deviation of the Python filter's own
@@ -191,17 +192,17 @@ int main(void)
 {{
     {name}_belief belief;
     {name}_result result;
-{declare}    {name}_real mean[N], deviations[N][N];
-    for (int i = 0; i < N; i++) {{
+{declare}    {name}_real mean[N], deviations[P][P];
+    for (int i = 0; i < N; i++)
         mean[i] = ({name}_real){name}_golden_mean[i];
-        for (int j = 0; j < N; j++)
+    for (int i = 0; i < P; i++)
+        for (int j = 0; j < P; j++)
             deviations[i][j] = ({name}_real){name}_golden_deviations[i][j];
-    }}
     {name}_start(&belief, mean, deviations);
     for (int k = 0; k < ROWS; k++) {{
         {name}_real z[M];
         unsigned char present[M];
-        double found[N], covariance[N * N];
+        double covariance[P * P];
         for (int i = 0; i < M; i++) {{
             z[i] = ({name}_real){name}_golden_z[k][i];
             present[i] = {name}_golden_present[k][i] != 0.0;
@@ -211,22 +212,21 @@ int main(void)
             printf("{name}: row %d: the belief is not finite\\n", k);
             return 1;
         }}
-        for (int i = 0; i < N; i++) {{
-            found[i] = (double)belief.mean[i];
-            for (int j = 0; j < N; j++) {{
+        for (int i = 0; i < P; i++) {{
+            for (int j = 0; j < P; j++) {{
                 double sum = 0.0;
-                for (int l = 0; l < N; l++)
+                for (int l = 0; l < P; l++)
                     sum += (double)belief.deviations[i][l] * (double)belief.deviations[j][l];
-                covariance[i * N + j] = sum;
+                covariance[i * P + j] = sum;
             }}
         }}
         const double *sigma = {name}_golden_spread[k];
-        for (int i = 0; i < N; i++) {{
-            apart(found[i], {name}_golden_means[k][i], sigma[i]);
-            for (int j = 0; j < N; j++)
-                apart(covariance[i * N + j], {name}_golden_covariances[k][i][j],
+        for (int i = 0; i < N; i++)
+            apart((double)belief.mean[i], {name}_golden_means[k][i], {name}_golden_size[k][i]);
+        for (int i = 0; i < P; i++)
+            for (int j = 0; j < P; j++)
+                apart(covariance[i * P + j], {name}_golden_covariances[k][i][j],
                       sigma[i] * sigma[j]);
-        }}
         for (int i = 0; i < M; i++) {{
             const double seen = {name}_golden_standardised[k][i];
             apart((double)result.innovation[i], {name}_golden_innovation[k][i],

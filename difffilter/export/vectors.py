@@ -32,10 +32,11 @@ def vectors(made: Golden, known: Sequence[str], name: str) -> dict[str, str]:
                 numbers(prefix + "z", ("ROWS", "M"), log.z.nan_to_num(0.0)),
                 numbers(prefix + "present", ("ROWS", "M"), log.present.to(torch.float64)),
                 numbers(prefix + "mean", ("N",), made.mean),
-                numbers(prefix + "deviations", ("N", "N"), made.deviations),
+                numbers(prefix + "deviations", ("P", "P"), made.deviations),
                 numbers(prefix + "means", ("ROWS", "N"), made.means),
-                numbers(prefix + "covariances", ("ROWS", "N", "N"), made.covariances),
-                numbers(prefix + "spread", ("ROWS", "N"), made.spread),
+                numbers(prefix + "covariances", ("ROWS", "P", "P"), made.covariances),
+                numbers(prefix + "spread", ("ROWS", "P"), made.spread),
+                numbers(prefix + "size", ("ROWS", "N"), made.size),
                 *(
                     numbers(prefix + key, ("ROWS", "M"), value)
                     for key, value in made.results.items()

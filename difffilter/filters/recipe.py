@@ -101,6 +101,7 @@ class Recipe(Declared):
             modes=self.mode_names,
             kinds=self.kinds,
             error_states=self.error_states,
+            local=None if self.motion.flat else self.motion.local,
         )
 
     @property
@@ -207,7 +208,9 @@ class Modelled(Composed, Recipe):
         own = (*super()._own_parameters, *self._more_parameters)
         if self.start_sigma is None:
             return own
-        return (*own, declared_start(self.start_sigma, self.bare_states))
+        bent = len(self.states) - len(self.error_states)
+        errors = self.error_states[: len(self.bare_states) - bent]
+        return (*own, declared_start(self.start_sigma, errors))
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input of a sensor is missing: a platform, a column."""
@@ -226,7 +229,7 @@ def check_independent(sensors: tuple[Sensor, ...], who: str) -> None:
 
 
 def declared_start(start_sigma: Number, states: tuple[str, ...]) -> Parameter:
-    """Declaration of ``start.sigma``."""
+    """Declaration of ``start.sigma``, one number or one per row of the deviations."""
     sigma = as_number(start_sigma)
     shape = torch.tensor(sigma).shape
     if shape not in ((), (len(states),)):

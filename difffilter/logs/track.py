@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from torch import Tensor
@@ -28,6 +28,8 @@ class Track:
         kinds: what each state is, one of :data:`difffilter.logs.states.KINDS`; by its name
             (x, vx) where it is not given.
         error_states: names of the rows of the deviations; none for the states themselves.
+        local: (a, b) -> the shift (..., p) from a to b, where states are no plain numbers
+            (quaternions), named by ``error_states``; None for the difference.
     """
 
     states: tuple[str, ...]
@@ -40,6 +42,12 @@ class Track:
     modes: tuple[str, ...] = ()
     kinds: Mapping[str, str] = field(default_factory=dict)
     error_states: tuple[str, ...] = ()
+    local: Callable[[Tensor, Tensor], Tensor] | None = None
+
+    @property
+    def errors(self) -> tuple[str, ...]:
+        """Names of the rows of the deviations."""
+        return self.error_states or self.states
 
     def kind(self, name: str) -> str:
         """What a state is: ``position``, ``velocity``, ``angle`` or ``other``."""
@@ -47,16 +55,16 @@ class Track:
 
     def rows(self, names: Sequence[str]) -> list[int]:
         """Index of each named state among the rows of the deviations."""
-        return _places(names, self.error_states or self.states)
+        return _places(names, self.errors)
 
     @property
     def covariance(self) -> Tensor:
-        """(T, ..., n, n)."""
+        """(T, ..., p, p)."""
         return self.deviations @ self.deviations.mT
 
     @property
     def std(self) -> Tensor:
-        """(T, ..., n), standard deviation of each state."""
+        """(T, ..., p), standard deviation of each row of ``errors``: of each state, as a rule."""
         return self.deviations.square().sum(-1).sqrt()
 
     def named(self, names: Sequence[str]) -> list[int]:

@@ -31,8 +31,8 @@ class FunctionMotion:
             noise, at the state before the step; or (dt, values) -> (..., n, q).
         parameters: declarations of the values that the two functions read.
         linear: whether the function is linear in the state.
-        kinds: which states are a ``position``, ``velocity``, ``angle`` or ``other``; by
-            default what x, y, z, vx, vy, vz say by their names.
+        kinds: which states (and numbers of ``tangent``) are a ``position``, ``velocity``,
+            ``angle`` or ``other``; by default what x, y, z, vx, vy, vz say by their names.
         tangent: names of the p numbers of a shift; the states by default. The noise is in
             this space too.
         retract_function, local_function: (state (..., n), shift (..., p)) -> the state moved
@@ -56,7 +56,7 @@ class FunctionMotion:
 
     def __post_init__(self) -> None:
         for name, kind in self.kinds.items():
-            if name not in self.states or kind not in KINDS:
+            if name not in (*self.states, *self.tangent) or kind not in KINDS:
                 raise InputError(
                     f"motion kinds: found {name} = {kind!r}, expected a state "
                     f"({', '.join(self.states)}) and one of {', '.join(KINDS)}"

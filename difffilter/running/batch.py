@@ -27,18 +27,19 @@ def start_belief(filter: Recipe, constants: Constants, start: Start) -> Belief:
     as they are in the long run.
     """
     mean, covariance = start.mean, start.covariance
+    # Of the errors: as many as states, but for those that are no plain numbers.
+    n = mean.shape[-1] - len(filter.states) + len(filter.error_states)
     without = None if covariance is None else torch.isnan(covariance).all(-1).all(-1)
     if without is not None and covariance is not None and not bool(without.any()):
-        given = belief(mean, covariance)
+        given = belief(mean, covariance, n)
         return filter.start(*extended(filter.motion, constants, given.mean, given.deviations))
     if "start.sigma" not in constants:
         raise InputError("start: found no covariance, expected one, or a filter with start.sigma")
-    n = mean.shape[-1]
     deviations = torch.diag_embed(constants["start.sigma"].expand(n))
     deviations = deviations.expand(*mean.shape[:-1], n, n)
     if covariance is not None and without is not None:
         here = without[..., None, None]
-        given = belief(mean, torch.where(here, torch.eye(n, dtype=mean.dtype), covariance))
+        given = belief(mean, torch.where(here, torch.eye(n, dtype=mean.dtype), covariance), n)
         deviations = torch.where(here, deviations, given.deviations)
     return filter.start(*extended(filter.motion, constants, mean, deviations))
 
@@ -182,7 +183,7 @@ def check_finite(track: Track, before: int = 0) -> None:
     deviations = track.deviations.detach()
     checks: list[tuple[str, Tensor, tuple[str, ...]]] = [("mean", track.mean, track.states)]
     if not torch.isfinite(deviations.sum()):
-        checks.append(("covariance", deviations.sum(-1), track.states))
+        checks.append(("covariance", deviations.sum(-1), track.errors))
     if track.record is not None:
         checks.insert(0, ("innovation", track.record.innovation, track.channels))
     worst: tuple[int, NonFiniteError] | None = None

@@ -79,7 +79,9 @@ class Tracker:
         with torch.inference_mode():
             self._constants = filter.prepare(values, temperature)
             self._dtype = next(iter(self._constants.values())).dtype
-            first = belief(self._tensor(mean), self._tensor(covariance))
+            given = self._tensor(mean)
+            size = given.shape[-1] - len(filter.states) + len(filter.error_states)
+            first = belief(given, self._tensor(covariance), size)
             first = Belief(
                 *extended(filter.motion, self._constants, first.mean, first.deviations), {}
             )
@@ -200,7 +202,8 @@ class Tracker:
                 bad = ~torch.isfinite(tensor)
                 if bool(bad.any()):
                     where = bad.reshape(-1, bad.shape[-1]).nonzero()[0].tolist()
-                    name = self.filter.states[where[1]]
+                    named = self.filter.states if what == "mean" else self.filter.error_states
+                    name = named[where[1]]
                     raise NonFiniteError(what, where[0], self.steps, name)
             self._belief, self.steps = after, self.steps + 1
             return record
@@ -275,7 +278,8 @@ class Tracker:
         record, bad = stream.step(z, seconds, known)
         if bad:
             what, state = stream.place(bad)
-            raise NonFiniteError(what, 0, self.steps, self.filter.states[state])
+            named = self.filter.states if what == "mean" else self.filter.error_states
+            raise NonFiniteError(what, 0, self.steps, named[state])
         self.steps, self._stale = self.steps + 1, True
         return record
 

@@ -167,7 +167,7 @@ class Model:
             )
         covariance = given.covariance
         if covariance is not None:
-            covariance = covariance.expand(*lead, n, n).clone()
+            covariance = covariance.expand(*lead, *covariance.shape[-2:]).clone()
         return replace(
             log, start=Start(given.mean.expand(*lead, n).clone(), covariance, given.time)
         )

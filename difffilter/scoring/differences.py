@@ -49,8 +49,16 @@ class Score:
 
 
 def known_states(log: Rows, track: Track) -> list[str]:
-    """States that the truth tells and the track estimates."""
-    return [name for name in track.states if name in log.truth_states]
+    """Errors that the truth tells: those of states, and of the tangent space of others.
+
+    A rotation's three numbers are known where the truth has all numbers of a quaternion.
+    """
+    plain = [name for name in track.states if name in log.truth_states]
+    if track.local is None:
+        return plain
+    bent = [name for name in track.states if name not in track.errors]
+    told = set(bent) <= set(log.truth_states)
+    return [n for n in track.errors if n in plain or (told and n not in track.states)]
 
 
 def scored_states(log: Rows, track: Track, score: Score | str = "all") -> list[str]:
@@ -61,13 +69,13 @@ def scored_states(log: Rows, track: Track, score: Score | str = "all") -> list[s
     """
     names = list(score.states) if isinstance(score, Score) else []
     for name in names:
-        if name not in track.states:
-            expected = ", ".join(track.states)
+        if name not in (*track.states, *track.errors):
+            expected = ", ".join(dict.fromkeys((*track.states, *track.errors)))
             raise InputError(f"state: found {shown(name)}, expected among {expected}")
-    kinds = [track.kind(name) for name in track.states]
+    kinds = [track.kind(name) for name in track.errors]
     chosen = next((kind for kind in KINDS if kind in kinds), "position")
-    names = names or [name for name in track.states if track.kind(name) == chosen]
-    if log.truth is None or not set(names) <= set(log.truth_states):
+    names = names or [name for name in track.errors if track.kind(name) == chosen]
+    if log.truth is None or not set(names) <= {*log.truth_states, *known_states(log, track)}:
         found = ", ".join(f"truth_{name}" for name in log.truth_states) or "none"
         expected = " and ".join(f"truth_{name}" for name in names or AXES)
         raise InputError(f"truth: found {found}, expected {expected}")
@@ -86,6 +94,8 @@ def difference(log: Rows, track: Track, names: Sequence[str]) -> Tensor:
     0 where either is missing, so that no NaN enters a gradient.
     """
     assert log.truth is not None
+    if track.local is not None and not set(names) <= set(track.states):
+        return _tangent(log, track, names)
     truth = log.truth[..., [log.truth_states.index(name) for name in names]]
     mean = track.mean[..., track.named(names)]
     apart = mean - truth.nan_to_num()
@@ -97,6 +107,21 @@ def difference(log: Rows, track: Track, names: Sequence[str]) -> Tensor:
         ]
         apart = torch.stack(columns, dim=-1)
     return torch.where(torch.isfinite(truth) & torch.isfinite(mean), apart, 0.0)
+
+
+def _tangent(log: Rows, track: Track, names: Sequence[str]) -> Tensor:
+    """The same in the tangent space at the estimate: minus the shift from it to the truth."""
+    assert log.truth is not None
+    assert track.local is not None
+    given = dict(zip(log.truth_states, log.truth.unbind(-1), strict=True))
+    mean = dict(zip(track.states, track.mean.unbind(-1), strict=True))
+    # What the truth does not tell is left as estimated, and nobody asks for it.
+    truth = torch.stack([given.get(name, mean[name]) for name in track.states], dim=-1)
+    known = torch.isfinite(truth) & torch.isfinite(track.mean)
+    known = known.all(-1, keepdim=True)
+    filled = torch.where(known, truth, track.mean)
+    apart = -track.local(track.mean, filled)[..., track.rows(names)]
+    return torch.where(known, apart, 0.0)
 
 
 def scored_difference(log: Rows, track: Track, score: Score | str = "all") -> Tensor:

@@ -88,8 +88,7 @@ def _principal(matrix: Tensor) -> tuple[Tensor, Tensor]:
 
 def _blocks(log: Rows, track: Track) -> dict[str, list[str]]:
     """States of one unit, that the truth tells and the track estimates."""
-    errors = track.error_states or track.states
-    both = [name for name in known_states(log, track) if name in errors]
+    both = [name for name in known_states(log, track) if name in track.errors]
     position = [name for name in both if track.kind(name) == "position"]
     velocity = [name for name in both if track.kind(name) == "velocity"]
     blocks = {"position": position, "velocity": velocity}

@@ -117,8 +117,10 @@ def nees_states(log: Rows, track: Track, per_position: bool = False) -> int:
 def _nees_names(log: Rows, track: Track, per_position: bool) -> list[str]:
     if per_position:
         return [name for name in scored_states(log, track) if track.kind(name) == "position"]
-    errors = track.error_states or track.states
-    return [n for n in log.truth_states if n in track.states and n in errors]
+    names = [name for name in known_states(log, track) if name in track.errors]
+    if track.local is not None:
+        return names
+    return sorted(names, key=log.truth_states.index)
 
 
 def nis_per_channel(track: Track) -> Tensor:

@@ -54,6 +54,21 @@ PAGES = {
         loss={"position": 1.0, "consistency": 0.3},
         shown=("x", "y"),
     ),
+    "lorenz": Page(
+        factory="model",
+        tuned=("lorenz.*", "gauge.sigma", "huber.k"),
+        loss={"position": 1.0, "consistency": 0.3},
+        shown=("a", "c"),
+        unit="1",
+    ),
+    "attitude": Page(
+        factory="model",
+        tuned=("gyro.*", "*.sigma"),
+        loss={"position": 1.0, "consistency": 0.3},
+        shown=("ax", "az"),
+        unit="deg",
+        factor=57.29577951308232,
+    ),
 }
 
 
@@ -131,7 +146,7 @@ def _draw(ax: object, page: Page, log: Log, track: object, name: str, values: st
     """One state's error and band of one standard deviation to either side."""
     from difffilter.scoring.differences import difference
 
-    at = track.states.index(name)  # type: ignore[attr-defined]
+    at = track.errors.index(name)  # type: ignore[attr-defined]
     error = page.factor * difference(log, track, [name])[:, 0, 0]  # type: ignore[arg-type]
     std = page.factor * track.std[:, 0, at]  # type: ignore[attr-defined]
     time, colour = log.time, COLOURS[values]

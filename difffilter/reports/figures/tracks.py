@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -11,6 +12,7 @@ from difffilter.logs.states import UNITS
 from difffilter.logs.track import Track
 from difffilter.reports.figures.modes import draw_modes
 from difffilter.reports.figures.style import COLOURS, axes_grid
+from difffilter.scoring.differences import difference, known_states
 
 __all__ = ["track_figure"]
 
@@ -40,13 +42,12 @@ def track_figure(
     _draw_track(axes[0], log, track, mean, truth)
     if later is not None:
         _draw_later(axes[0], track, later[1])
-    for i, name in enumerate(track.states[:2]):
-        true = None
-        if truth is not None and name in log.truth_states:
-            true = truth[:, log.truth_states.index(name)]
-        _draw_error(axes[1 + i], _labelled(track, name), time, mean[:, i], std[:, i], true)
-        if later is not None:
-            _draw_later_error(axes[1 + i], time, later[1][:, i], later[2][:, i], true)
+    for i, name in enumerate(track.errors[:2]):
+        error = _error(log, track, name, trajectory)
+        _draw_error(axes[1 + i], _labelled(track, name), time, error, std[:, i])
+        if smoothed is not None and later is not None:
+            error = _error(log, smoothed, name, trajectory)
+            _draw_later_error(axes[1 + i], time, error, later[2][:, i])
     _draw_weights(axes[3], track, time, weights)
     if several:
         draw_modes(axes[4], track, trajectory)
@@ -67,6 +68,18 @@ def _pick(
         weights = one(np.where(seen, track.record.weight.detach().numpy(), np.nan), 1)
     truth = None if log.truth is None else one(log.truth, 1)
     return one(log.time, 0), one(track.mean, 1), one(track.std, 1), weights, truth
+
+
+def _error(log: Log, track: Track, name: str, b: int) -> np.ndarray | None:
+    """Estimate minus truth of one state (or number of the tangent space); NaN where unknown."""
+    if log.truth is None or name not in known_states(log, track):
+        return None
+    apart = difference(log, track, [name])[..., 0]
+    if name in log.truth_states:
+        truth = log.truth[..., log.truth_states.index(name)]
+        apart = torch.where(torch.isfinite(truth), apart, torch.nan)
+    array = np.asarray(apart.detach())
+    return array[:, b] if array.ndim > 1 else array
 
 
 def _labelled(track: Track, name: str) -> str:
@@ -103,14 +116,12 @@ def _draw_error(
     ax: Axes,
     name: str,
     time: np.ndarray,
-    mean: np.ndarray,
+    error: np.ndarray | None,
     std: np.ndarray,
-    truth: np.ndarray | None,
 ) -> None:
     ax.fill_between(time, -3 * std, 3 * std, color=COLOURS["tuned"], alpha=0.18, lw=0)
     ax.plot([], [], color=COLOURS["tuned"], alpha=0.3, lw=6, label="3 sigma")
-    if truth is not None:
-        error = mean - truth
+    if error is not None:
         ax.plot(time, error, color=COLOURS["tuned"], lw=0.8, label="error")
         span = np.nanmax(np.abs(error)) if np.isfinite(error).any() else 1.0
         limit = max(1.3 * span, 1.3 * 3 * float(np.nanmedian(std)))
@@ -130,13 +141,12 @@ def _draw_later(ax: Axes, track: Track, mean: np.ndarray) -> None:
 
 
 def _draw_later_error(
-    ax: Axes, time: np.ndarray, mean: np.ndarray, std: np.ndarray, truth: np.ndarray | None
+    ax: Axes, time: np.ndarray, error: np.ndarray | None, std: np.ndarray
 ) -> None:
     """The smoothed error with its band, inside the filter's."""
     colour = COLOURS["clairvoyant"]
     ax.fill_between(time, -3 * std, 3 * std, color=colour, alpha=0.25, lw=0)
-    if truth is not None:
-        error = mean - truth
+    if error is not None:
         ax.plot(time, error, color=colour, lw=0.8, label="smoothed error")
     ax.plot([], [], color=colour, alpha=0.4, lw=6, label="3 sigma, smoothed")
     ax.legend(fontsize=8, loc="upper left", framealpha=0.6)
