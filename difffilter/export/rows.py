@@ -84,9 +84,7 @@ def _simulated(checkpoint: Checkpoint, known: Sequence[str], seed: int) -> Log:
     )  # fmt: skip
 
 
-def _walk(
-    filter: Recipe, values: Values, known: Sequence[str], seed: int, centre: Tensor
-) -> Log:
+def _walk(filter: Recipe, values: Values, known: Sequence[str], seed: int, centre: Tensor) -> Log:
     """A straight walk that begins among the stations, or at the model's own start."""
     generator = stream(seed, "golden")
     constants = filter.prepare(values)

@@ -208,9 +208,7 @@ class Modelled(Composed, Recipe):
         own = (*super()._own_parameters, *self._more_parameters)
         if self.start_sigma is None:
             return own
-        bent = len(self.states) - len(self.error_states)
-        errors = self.error_states[: len(self.bare_states) - bent]
-        return (*own, declared_start(self.start_sigma, errors))
+        return (*own, declared_start(self.start_sigma, self.bare_motion.tangent))
 
     def check_inputs(self, inputs: Mapping[str, Tensor]) -> None:
         """Raise InputError if a known input of a sensor is missing: a platform, a column."""

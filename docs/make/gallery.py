@@ -61,14 +61,6 @@ PAGES = {
         shown=("a", "c"),
         unit="1",
     ),
-    "attitude": Page(
-        factory="model",
-        tuned=("gyro.*", "*.sigma"),
-        loss={"position": 1.0, "consistency": 0.3},
-        shown=("ax", "az"),
-        unit="deg",
-        factor=57.29577951308232,
-    ),
 }
 
 
