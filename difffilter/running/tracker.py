@@ -82,9 +82,7 @@ class Tracker:
             given = self._tensor(mean)
             size = given.shape[-1] - len(filter.states) + len(filter.error_states)
             first = belief(given, self._tensor(covariance), size)
-            first = Belief(
-                *extended(filter.motion, self._constants, first.mean, first.deviations), {}
-            )
+            first = Belief(*extended(filter.motion, self._constants, *first[:2]), {})
             if first.mean.shape[-1] != len(filter.states):
                 raise InputError(
                     f"mean: found {first.mean.shape[-1]} numbers, "
@@ -202,9 +200,7 @@ class Tracker:
                 bad = ~torch.isfinite(tensor)
                 if bool(bad.any()):
                     where = bad.reshape(-1, bad.shape[-1]).nonzero()[0].tolist()
-                    named = self.filter.states if what == "mean" else self.filter.error_states
-                    name = named[where[1]]
-                    raise NonFiniteError(what, where[0], self.steps, name)
+                    raise NonFiniteError(what, where[0], self.steps, self._named(what)[where[1]])
             self._belief, self.steps = after, self.steps + 1
             return record
 
@@ -278,10 +274,12 @@ class Tracker:
         record, bad = stream.step(z, seconds, known)
         if bad:
             what, state = stream.place(bad)
-            named = self.filter.states if what == "mean" else self.filter.error_states
-            raise NonFiniteError(what, 0, self.steps, named[state])
+            raise NonFiniteError(what, 0, self.steps, self._named(what)[state])
         self.steps, self._stale = self.steps + 1, True
         return record
+
+    def _named(self, what: str) -> tuple[str, ...]:
+        return self.filter.states if what == "mean" else self.filter.error_states
 
     def _known(self, inputs: Known | None) -> dict[str, Tensor]:
         """Known inputs as tensors; InputError if one is missing."""

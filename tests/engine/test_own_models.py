@@ -213,3 +213,14 @@ def test_fed_rows_are_the_same_as_steps(engine: str) -> None:
     with pytest.raises(InputError, match="log: found 2 columns"):
         many.feed(torch.zeros(3, 2, dtype=D), dt[:3])
     assert torch.equal(many.belief.mean, before)
+
+
+def test_a_whole_number_times_what_a_constant_multiplies_is_that_number() -> None:
+    """Under forward differentiation torch hands plain numbers over as if they were tensors."""
+    up = torch.tensor([0.0, 0.0, 9.81], dtype=D)
+
+    def tilt(s: Tensor, inputs: object, values: object) -> Tensor:
+        return (2 * (s[..., 0] * up[2] - s[..., 1] * up[0])).unsqueeze(-1)
+
+    sensor = FunctionSensor(("t",), tilt, sigma=1.0)
+    assert_engines_agree(Filter(ConstantVelocity(), (sensor,)))

@@ -88,6 +88,7 @@ def _arange(low: Lower, *args: float, **_: Any) -> Array:
 @rule("to_copy")
 def _converted(low: Lower, x: Array, dtype: Any = None, **_: Any) -> Array:
     """Truth values by comparison, integers by what stands before the point."""
+    x = low.of(x)  # torch hands over plain numbers too: 2 is no node
     if dtype in (None, torch.float64):
         return x
     if dtype == torch.bool:
