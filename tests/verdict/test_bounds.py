@@ -12,6 +12,7 @@ import pytest
 from difffilter import load_scenario
 from difffilter.reports.report import Report
 from difffilter.scenario.checkpoint import Checkpoint, load
+from difffilter.tuning import guards
 from difffilter.verdict.evidence import gather
 from difffilter.verdict.judge import verdict
 
@@ -29,7 +30,10 @@ def small() -> Checkpoint:
     return replace(load(SHIPPED / "airport-mlat-intermittent.json"), scenario=scenario)
 
 
-def test_told_tuned_and_the_cost_of_a_guarantee_stand_on_the_page(tmp_path: Path) -> None:
+def test_told_tuned_and_the_cost_of_a_guarantee_stand_on_the_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guards, "COUNT", 8)
     report = Report(tmp_path, "Verdict")
     verdict(report, small(), 6, 2, engine="torch", bound=True, guaranteed=True)
     report.write()
