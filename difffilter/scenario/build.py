@@ -82,7 +82,7 @@ def _own_values(
 ) -> Mapping[str, ParameterSpec]:
     """The scenario's parameters with the own values of a system or mode in their place."""
     where = f"{where}.values"
-    blank = ParameterSpec(where, 0.0, "", "", tuned=False, prior=None)
+    blank = ParameterSpec(where, 0.0, "", "", tuned=None, prior=None)
     own = {
         key: replace(parameters.get(key, blank), where=f"{where}.{key}", value=value, source=name)
         for key, value in values.items()

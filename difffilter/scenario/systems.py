@@ -25,13 +25,16 @@ OWN = ("motion.*",)
 
 @dataclass(frozen=True)
 class ParameterSpec:
-    """One entry of ``[parameters]``: published value and its unit (SI), source, tuned, prior."""
+    """One entry of ``[parameters]``: published value and its unit (SI), source, tuned, prior.
+
+    What is not said (None) is as the component declares it.
+    """
 
     where: str
     value: Number
     unit: str
     source: str
-    tuned: bool
+    tuned: bool | None
     prior: float | None
     given: tuple[str, float] | None = None
 
@@ -43,8 +46,8 @@ class ParameterSpec:
             own,
             value=self.value,
             source=self.source or own.source,
-            tuned=self.tuned,
-            prior=self.prior,
+            tuned=own.tuned if self.tuned is None else self.tuned,
+            prior=own.prior if self.prior is None else self.prior,
             given=self.given,
         )
         try:
@@ -203,7 +206,7 @@ def read_parameters(table: Table) -> dict[str, ParameterSpec]:
                 value=value,
                 unit=unit,
                 source=entry.text("source", ""),
-                tuned=entry.flag("tuned"),
+                tuned=entry.flag("tuned") if "tuned" in entry else None,
                 prior=entry.number("prior", None, above=0.0),
                 given=given,
             )

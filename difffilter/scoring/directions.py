@@ -33,22 +33,25 @@ def nees_directions(log: Rows, track: Track) -> dict[str, Tensor]:
     states, the velocity's, and each other true state by itself: P of all states has no
     directions of its own, since its units differ.
 
-    NaN where a direction has no variance.
+    NaN where a direction has no variance. The directions are taken as they are by derivatives.
 
     Raises:
         InputError: no truth.
     """
     found: dict[str, Tensor] = {}
     for name, states in _blocks(log, track).items():
-        error = difference(log, track, states).detach()
-        deviations = track.deviations[..., track.rows(states), :].detach()
+        error = difference(log, track, states)
+        deviations = track.deviations[..., track.rows(states), :]
         covariance = deviations @ deviations.mT
         known = torch.isfinite(covariance).all(-1).all(-1)[..., None, None]
         identity = torch.eye(len(states), dtype=covariance.dtype)
-        values, vectors = _principal(torch.where(known, covariance, identity))
+        covariance = torch.where(known, covariance, identity)
+        vectors = _principal(covariance.detach())[1].detach()
+        values = (vectors * (covariance @ vectors)).sum(-2)
         along = (vectors.mT @ error.unsqueeze(-1)).squeeze(-1).square()
         dead = values <= SINGULAR * values[..., -1:].clamp_min(1e-300)
-        ratio = torch.where(dead | ~known[..., 0], torch.nan, along / values)
+        missing = dead | ~known[..., 0]
+        ratio = torch.where(missing, torch.nan, along / torch.where(missing, 1.0, values))
         for at, size in enumerate(SIZES[len(states)]):
             found[name + size] = ratio[..., -1 - at]
     return found

@@ -11,6 +11,7 @@ from difffilter.errors import InputError
 from difffilter.logs.log import Rows
 from difffilter.logs.track import Track
 from difffilter.scoring.differences import scored_difference, scored_rows
+from difffilter.scoring.directions import nees_directions
 from difffilter.scoring.foretelling import surprise
 from difffilter.scoring.loss import (
     LOSSES,
@@ -109,6 +110,31 @@ def _consistency_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
     squared = nees(log, track)
     rows = scored_rows(log, track, context.score) & ~torch.isnan(squared)
     return _counted(torch.where(rows, squared, 0.0), rows * nees_states(log, track))
+
+
+def _directions(sums: Tensor) -> Tensor:
+    """Zero where the mean NEES along each principal direction is 1."""
+    squared, count = sums.reshape(-1, 2).unbind(-1)
+    return _departure(squared / count.clamp_min(1.0)).sum()
+
+
+@loss(
+    "direction-consistency",
+    value=_directions,
+    needs_truth=True,
+    curved=True,
+    meaning="departure of the mean NEES along each principal direction of the position from 1",
+)
+def _direction_rows(track: Track, log: Rows, context: LossContext) -> Tensor:
+    rows = scored_rows(log, track, context.score)
+    added = []
+    for name, squared in nees_directions(log, track).items():
+        if name.startswith("position"):
+            known = rows & ~torch.isnan(squared)
+            added += [torch.where(known, squared, 0.0), known.to(squared.dtype)]
+    if not added:
+        raise InputError("direction-consistency: found no true position, expected one")
+    return torch.stack(added, dim=-1)
 
 
 def _innovation_consistency(sums: Tensor) -> Tensor:

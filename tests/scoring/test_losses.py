@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from helpers import tensor
@@ -20,6 +21,7 @@ from difffilter.running.batch import run
 from difffilter.running.objectives import Problem, sum_losses
 from difffilter.scenario.table import Table
 from difffilter.scenario.tuning import read_tuning
+from difffilter.scoring.differences import scored_rows
 from difffilter.scoring.losses import LOSSES, LossContext, total_loss
 from difffilter.scoring.losses import loss as register
 from difffilter.scoring.metrics import nees, nees_states, nis_per_channel, position_error, rmse
@@ -88,6 +90,19 @@ def test_consistency_is_zero_where_the_nees_per_state_is_one() -> None:
     for factor in (0.2, 0.8, 1.25, 5.0):
         found = float(loss("consistency", scaled(honest, factor)))
         assert found == pytest.approx(math.sqrt(1 + math.log(factor) ** 2) - 1, rel=1e-9)
+
+
+def test_direction_consistency_is_the_departure_along_each_direction() -> None:
+    """Against the eigenvectors of NumPy, on what was known of every row."""
+    names = ["x", "y"]
+    p = TRACK.covariance[..., :2, :2].numpy()
+    values, vectors = np.linalg.eigh(p)
+    error = (TRACK.mean[..., TRACK.named(names)] - LOG.truth[..., :2]).numpy()  # type: ignore[index]
+    along = np.einsum("...ij,...i->...j", vectors, error) ** 2 / values
+    rows = scored_rows(LOG, TRACK).numpy()
+    means = along[rows].mean(0)
+    expected = (np.sqrt(1.0 + np.log(means) ** 2) - 1.0).sum()
+    assert float(loss("direction-consistency", TRACK)) == pytest.approx(expected, rel=1e-9)
 
 
 def test_innovation_consistency_is_zero_where_the_nis_per_channel_is_one() -> None:
