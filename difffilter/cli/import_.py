@@ -51,9 +51,10 @@ def command(args: Namespace) -> int:
     scenario = load_named(args)
 
     from difffilter.logs.logfile import write_log
-    from difffilter.scenario.recorded import read_run
+    from difffilter.scenario.recorded import read_run, stacked
 
     read = read_run(scenario, args.log)
+    stacked(scenario, [read])  # says what is in a wrong unit before it is written as right
     write_log(args.out, read.log, f"1, {scenario.name}, SI units, {read.clock.words}")
     report = _report(read)
     if args.json:

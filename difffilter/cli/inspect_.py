@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from difffilter.cli.options import Commands, check_place, load_case
 from difffilter.cli.output import note, number, print_json, say, table
-from difffilter.errors import InputError
+from difffilter.errors import InputError, LogError
 from difffilter.files import write_atomically
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def command(args: Namespace) -> int:
 
 def _read(args: Namespace) -> tuple[Log, Case | None]:
     from difffilter.logs.logfile import read_any
-    from difffilter.scenario.recorded import read_run, scenario_of_run
+    from difffilter.scenario.recorded import read_run, scenario_of_run, stacked
     from difffilter.scenario.scenario import Scenario
     from difffilter.scenario.sources import as_log
 
@@ -96,6 +96,10 @@ def _read(args: Namespace) -> tuple[Log, Case | None]:
     read = read_run(case, args.log)
     for line in read.told:
         note(line)
+    try:
+        stacked(case, [read])
+    except LogError as error:  # told, and what the log says of itself all the same
+        note(str(error))
     return read.log, replace(scenario_of_run(case, Path(args.log).stem), runs={})
 
 

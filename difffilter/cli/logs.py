@@ -19,8 +19,7 @@ __all__ = ["need_log", "not_clairvoyant", "note_missing_run", "read_logs"]
 
 def read_logs(scenario: Case, paths: Sequence[str] | None) -> Log | None:
     """The logs as one batch, each with its own run's geometry; None where none are given."""
-    from difffilter.logs.log import stack_logs
-    from difffilter.scenario.recorded import read_run
+    from difffilter.scenario.recorded import read_run, stacked
     from difffilter.scenario.scenario import Scenario
     from difffilter.scenario.sources import as_log
 
@@ -33,7 +32,7 @@ def read_logs(scenario: Case, paths: Sequence[str] | None) -> Log | None:
         for line in one.told:
             note(line)
         note_missing_run(scenario, Path(path).stem)
-    return stack_logs([one.log for one in read])
+    return stacked(scenario, read)
 
 
 def note_missing_run(scenario: Scenario, run: str) -> None:

@@ -169,9 +169,8 @@ def command(args: Namespace) -> int:
 
 def _read(case: Case, path: str) -> tuple[Log, Clock]:
     """The log as a batch of one, and what its times mean; tells what was done to it."""
-    from difffilter.logs.log import stack_logs
     from difffilter.logs.times import Clock
-    from difffilter.scenario.recorded import read_run
+    from difffilter.scenario.recorded import read_run, stacked
     from difffilter.scenario.scenario import Scenario
     from difffilter.scenario.sources import as_log
 
@@ -180,7 +179,7 @@ def _read(case: Case, path: str) -> tuple[Log, Clock]:
     read = read_run(case, path)
     for line in read.told:
         note(line)
-    return stack_logs([read.log]), read.clock
+    return stacked(case, [read]), read.clock
 
 
 def _chosen(args: Namespace) -> Chosen:

@@ -119,6 +119,7 @@ class Form:
         gap: seconds between two samples over which inputs and truth are interpolated.
         first, last: seconds after the log's first row between which rows are kept, the last
             one not included: parts of one recording share no row.
+        sure: channels whose unit is stated, and ``time`` where its format is.
     """
 
     layout: Layout = field(default_factory=Layout)
@@ -126,6 +127,7 @@ class Form:
     gap: float | None = None
     first: float = 0.0
     last: float = math.inf
+    sure: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         if not self.first < self.last:

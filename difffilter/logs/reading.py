@@ -29,11 +29,14 @@ class Reading:
     Attributes:
         log: one trajectory; clock: how its times are written.
         told: what was sorted, joined and left out, a line each.
+        sure: what has the unit that it should have, because somebody said so: channels, and
+            ``time``.
     """
 
     log: Log
     clock: Clock
     told: tuple[str, ...]
+    sure: frozenset[str] = frozenset()
 
 
 def reading(
@@ -61,7 +64,9 @@ def reading(
         single = read_table_as_log(
             table, layout, channels, inputs, bounds, optional=optional, name=path.stem
         )
-        return single if table.plain else _span(single, form)
+        if table.plain:
+            return replace(single, sure=frozenset((*channels, "time")))
+        return replace(_span(single, form), sure=form.sure)
     sheets = []
     for source in form.sources:
         place = path.parent / source.file.replace("{run}", path.name)
@@ -78,7 +83,7 @@ def reading(
     sheet = dropped(sheet, [name for name in inputs if name in sheet.columns])
     relative = {c: i for s in form.sources for c, i in s.layout.relative.items()}
     joined = _log(sheet, relative, channels, inputs, form.sources[0].layout, path.name)
-    return _span(joined, form)
+    return replace(_span(joined, form), sure=form.sure)
 
 
 def _span(read: Reading, form: Form) -> Reading:

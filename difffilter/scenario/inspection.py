@@ -19,6 +19,7 @@ from difffilter.running.batch import start_belief
 from difffilter.scenario.case import Case
 from difffilter.scenario.estimation import started
 from difffilter.scenario.model import as_case
+from difffilter.scenario.plausibility import against_truth, unit_of
 
 __all__ = ["Inspection", "Proposal", "inspect_log"]
 
@@ -164,25 +165,11 @@ def _start(case: Case, recipe: Any, log: Log) -> dict[str, tuple[float, float]] 
 
 def _errors(recipe: Filter, log: Log) -> tuple[Array, list[tuple[str, tuple[str, ...], str]]]:
     """Measurements minus what the truth gives, without bias; each sensor: name, channels, unit."""
-    assert log.truth is not None
-    state = torch.full((log.steps, len(recipe.bare_states)), torch.nan, dtype=log.z.dtype)
-    for i, name in enumerate(recipe.bare_states):
-        if name in log.truth_states:
-            state[:, i] = log.truth[:, log.truth_states.index(name)]
-    values = dict(recipe.published(log.z.dtype))
-    for name in values:
-        if name.endswith(".bias"):
-            values[name] = torch.zeros_like(values[name])
-    constants = recipe.prepare(values, None)
-    parts, sensors, at = [], [], 0
-    for sensor in recipe.bare_sensors:
-        z = log.z[:, at : at + len(sensor.channels)]
-        at += len(sensor.channels)
-        parts.append(sensor.residual(z, sensor.predict(state, log.inputs, constants)))
+    parts, sensors = [], []
+    for sensor, at, expected in against_truth(recipe, log):
+        parts.append(sensor.residual(log.z[:, at : at + len(sensor.channels)], expected))
         name = str(getattr(sensor, "name", sensor.channels[0]))
-        declared = recipe.declarations.get(f"{name}.sigma")
-        unit = declared.unit if declared is not None else "1"
-        sensors.append((name, tuple(sensor.channels), unit))
+        sensors.append((name, tuple(sensor.channels), unit_of(recipe, sensor)))
     return torch.cat(parts, dim=-1).numpy(), sensors
 
 

@@ -15,11 +15,12 @@ from difffilter.logs.log import Log, stack_logs
 from difffilter.logs.reading import Reading, reading
 from difffilter.motions.blocks import ConstantVelocity
 from difffilter.scenario.document import apply_overrides
+from difffilter.scenario.plausibility import check_units
 from difffilter.scenario.pooling import pooled
 from difffilter.scenario.scenario import Scenario, read_scenario
 from difffilter.sensors.builtin import Range, StationSensor
 
-__all__ = ["bounds", "load_logs", "read_run", "scenario_of_run"]
+__all__ = ["bounds", "load_logs", "read_run", "scenario_of_run", "stacked"]
 
 #: A whole turn in rad, and a hair.
 TURN = math.tau * (1 + 1e-12)
@@ -50,7 +51,14 @@ def load_logs(scenario: Scenario, paths: Sequence[str | Path], run: str | None =
     Raises:
         LogError: a file that does not fit, with its line; InputError: other mismatches.
     """
-    return stack_logs([read_run(scenario, path, run).log for path in paths])
+    return stacked(scenario, [read_run(scenario, path, run) for path in paths])
+
+
+def stacked(scenario: Scenario, read: Sequence[Reading]) -> Log:
+    """Logs as read as one batch, z (T, B, m); LogError where their units make no sense."""
+    log = stack_logs([one.log for one in read])
+    check_units(scenario, log, [one.sure for one in read])
+    return log
 
 
 def read_run(scenario: Scenario, path: str | Path, run: str | None = None) -> Reading:

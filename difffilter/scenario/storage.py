@@ -23,17 +23,19 @@ def read_form(table: Table) -> Form:
     shared = _keywords(table)
     form = Form(_layout(table, shared), (), gap, first, math.inf if last is None else last)
     sources = []
+    sure = set(shared.get("units", ())) | ({"time"} if "format" in shared else set())
     for name, part in files.children():
         file = part.text("file")
         if not file or file.startswith("/") or ".." in file:
             part.fail("file", "a name beside the log, as {run}_radar.csv")
         own = _keywords(part)
+        sure |= set(own.get("units", ())) | ({"time"} if "format" in own else set())
         for key in ("columns", "units", "relative"):
             own[key] = {**shared.get(key, {}), **own.get(key, {})}
         sources.append(Source(name, file, _layout(part, {**shared, **own})))
         part.finish()
     table.finish()
-    return replace(form, sources=tuple(sources))
+    return replace(form, sources=tuple(sources), sure=frozenset(sure))
 
 
 def _keywords(table: Table) -> dict[str, Any]:
