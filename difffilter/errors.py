@@ -52,7 +52,14 @@ def digits(value: float) -> str:
 
 
 class DifffilterError(Exception):
-    """Base of the library's errors; the message is one line for the user."""
+    """Base of the library's errors; the message is one line for the user.
+
+    However long what was found is, and whatever is in it: no control characters, the middle left
+    out beyond a thousand characters.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(printable(str(message)))
 
 
 class InputError(DifffilterError, ValueError):

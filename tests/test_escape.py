@@ -7,6 +7,7 @@ import re
 from hypothesis import given
 from hypothesis import strategies as st
 
+from difffilter.errors import DifffilterError, InputError
 from difffilter.escape import c_comment, html, markdown, prose, tagless
 
 TEXT = st.text(st.sampled_from("*/\\?<>[]|`#!ab \n\r\x1b\u202e\ud800$&\"'") | st.characters())
@@ -49,3 +50,17 @@ def test_words_are_as_before() -> None:
     assert c_comment(plain) == html(plain) == markdown(plain) == prose(plain) == plain
     assert prose("**strong** and `code`") == "**strong** and `code`"
     assert c_comment("a */ b ??/ c") == "a x/ b ? ?/ c"
+
+
+@given(TEXT)
+def test_an_error_is_one_line_of_bounded_length(text: str) -> None:
+    said = str(InputError(f"log: found {text * 100}, expected a number"))
+    assert said.isprintable()
+    assert len(said) < 10_100  # each character as its number at most
+
+
+def test_what_was_found_is_not_echoed_whole() -> None:
+    said = str(DifffilterError(f"log.csv, line 3: found {'x' * 10**7}, expected a number"))
+    assert len(said) < 1010
+    assert said.startswith("log.csv, line 3: found xxx")
+    assert said.endswith("xxx, expected a number")

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from difffilter.core.linalg import semidefinite_cholesky
+from difffilter.export.decisions import decided
 from difffilter.export.rows import rows
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log
@@ -69,7 +70,9 @@ def golden(checkpoint: Checkpoint, filter: Recipe, known: Sequence[str]) -> Gold
     """
     best: Golden | None = None
     for seed in range(SEED, SEED + TRIES):
-        found = _vectors(checkpoint, filter, rows(checkpoint, filter, known, seed))
+        log = rows(checkpoint, filter, known, seed)
+        log = decided(filter, log, checkpoint.values, checkpoint.temperature, seed)
+        found = _vectors(checkpoint, filter, log)
         if best is None or found.tolerance[1] < best.tolerance[1]:
             best = found
         if best.tolerance[1] < USABLE / 10.0:

@@ -61,7 +61,7 @@ def rows(checkpoint: Checkpoint, filter: Recipe, known: Sequence[str], seed: int
 def _correlated(sigma: Tensor) -> Tensor:
     """A covariance in which every state tells of every other, so that each term counts."""
     n = len(sigma)
-    share = 0.5 / (1.0 + torch.arange(n, dtype=torch.float64))
+    share = 0.9 / (1.0 + 0.2 * torch.arange(n, dtype=torch.float64))
     correlation = torch.outer(share, share)
     correlation.fill_diagonal_(1.0)
     return torch.outer(sigma, sigma) * correlation

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import torch
 
-from difffilter.errors import InputError, LogError
+from difffilter.errors import InputError, LogError, shown
 from difffilter.files import write_atomically
 from difffilter.logs.layout import Bound, Layout
 from difffilter.logs.log import Log
@@ -18,6 +18,7 @@ from difffilter.logs.reading import read_table_as_log
 from difffilter.logs.sheets import read_sheet
 from difffilter.logs.tables import MARK, Column, read_table, table_of
 from difffilter.logs.writing import MANY, CsvParts
+from difffilter.registry import NAME
 
 __all__ = ["read_any", "read_log", "write_log"]
 
@@ -84,6 +85,11 @@ def read_any(path: str | Path) -> Log:
     table = read_table(Path(path))
     names = [n for n in table.names if n != "time" and not n.startswith("truth_")]
     channels = [n for n in names if _is_numbers(table.columns[n])]
+    if wrong := [n for n in channels if not NAME.fullmatch(n)]:
+        raise LogError(
+            f"{path}, line 1: found column {shown(wrong[0])}, expected a name: a letter, then "
+            "letters, digits, _ and -, at most 64; [log] columns of a scenario renames it"
+        )
     if not channels:
         raise LogError(f"{path}, line 1: found no column of numbers, expected one beside time")
     left_out = tuple(n for n in names if n not in channels)

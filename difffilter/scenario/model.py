@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import torch
 
-from difffilter.errors import InputError
+from difffilter.errors import InputError, shown
 from difffilter.filters.recipe import Recipe
 from difffilter.logs.log import Log, Start
 from difffilter.parameters.parameters import Values
+from difffilter.registry import NAME
 from difffilter.scenario.case import Case, SceneLike
 from difffilter.scenario.settings import TuneSettings
 from difffilter.scenario.table import Table
@@ -53,7 +54,7 @@ class Model:
         tuning: settings; title, notes: for reports.
 
     Raises:
-        InputError: a factory that is not ``module:function``.
+        InputError: a name that is none, a factory that is not ``module:function``.
 
     Example:
         >>> from difffilter import ConstantVelocity, Filter, Model, Position
@@ -74,6 +75,11 @@ class Model:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise InputError(
+                f"name: found {shown(self.name)}, expected a letter, then letters, digits, _ "
+                "and -, at most 64"
+            )
         module, _, function = self.factory.partition(":")
         if self.factory and not (
             function.isidentifier() and all(part.isidentifier() for part in module.split("."))

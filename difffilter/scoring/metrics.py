@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -126,7 +128,7 @@ def _nees_names(log: Rows, track: Track, per_position: bool) -> list[str]:
 def nis_per_channel(track: Track) -> Tensor:
     """Mean nominal NIS per present channel over all rows, expected 1; NaN without records."""
     if track.record is None:
-        return torch.tensor(float("nan"))
+        return torch.tensor(math.nan, dtype=torch.float64)
     count = track.record.present.sum()
     return track.record.nis.sum() / count.clamp_min(1)
 

@@ -92,7 +92,7 @@ def expand(
             curvature = curvature + 2.0 * weight * gram
         loss, terms[name] = loss + weight * float(term.detach()), term.detach()
     prior, slope, bend = _prior(parameters, share)
-    count = float(among.add(torch.tensor(float(len(scores)))))
+    count = float(among.add(torch.tensor(float(len(scores)), dtype=torch.float64)))
     summed = among.add(scores.sum(0))
     spread = among.add(scores.mT @ scores) - torch.outer(summed, summed) / count
     return Expansion(loss + prior, terms, gradient + slope, curvature + torch.diag(bend), spread)

@@ -161,7 +161,8 @@ def sustained(filter: Recipe, log: Log) -> float:
     level = math.sqrt(float(size[torch.isfinite(size)].mean()))
     dt = float((time[1:] - time[:-1]).median())
     mean, inputs = states[0], {name: x[0] for name, x in log.inputs.items()}
-    noise = filter.bare_motion.noise(mean.nan_to_num(), torch.tensor(dt), inputs, filter.prepare())
+    step = torch.tensor(dt, dtype=mean.dtype)
+    noise = filter.bare_motion.noise(mean.nan_to_num(), step, inputs, filter.prepare())
     allowed = noise[..., _places(filter, "v"), :].square().sum((-1, -2)).mean().sqrt() / dt
     return level if level > 0.01 * float(allowed) else float(allowed)
 

@@ -150,7 +150,7 @@ def _with_worlds(checkpoint: Checkpoint) -> Any:
 def _process(filter: Recipe, log: Log, values: Values) -> list[Flag]:
     """Of the process noise of one step."""
     time = log.time if log.time.dim() == 1 else log.time[:, 0]
-    dt = torch.diff(time).median() if len(time) > 1 else torch.tensor(1.0)
+    dt = torch.diff(time).median() if len(time) > 1 else torch.ones((), dtype=time.dtype)
     mean = torch.zeros(len(filter.states), dtype=log.z.dtype)
     if log.truth is not None:
         for at, name in enumerate(filter.states):

@@ -21,16 +21,15 @@ __all__ = ["case"]
 
 #: Largest difference of the engines, in standard deviations of the estimate.
 AGREE = 1e-6
-#: Share of the moderate cases that run compiled as well: each compiles its step.
-COMPILED = 0.25
+#: Share of the recipes that run compiled as well: each compiles its step.
+COMPILED = 0.3
 
 
 def case(seed: int, tally: Tally) -> None:
     """One recipe over one log; a violation is shrunk and noted."""
     rng = random.Random(seed)
-    hostile = rng.random() < 0.7
-    drawn = {"recipe": recipes.draw(rng), "log": rows.draw(rng, hostile)}
-    drawn["compiled"] = not hostile and rng.random() < COMPILED
+    drawn = {"recipe": recipes.draw(rng), "log": rows.draw(rng, rng.random() < 0.7)}
+    drawn["compiled"] = rows.draw(rng, False) if rng.random() < COMPILED else None
     tally.counts["recipes drawn"] += 1
     recipe = recipes.build(drawn["recipe"])
     if recipe is None:
@@ -49,36 +48,49 @@ def check(drawn: dict[str, Any], tally: Tally) -> None:
     if recipe is None:
         return
     log, start = rows.make(drawn["log"], recipe)
+    track = _in_torch(recipe, log, start, tally)
+    if track is not None:
+        _sound(track)
+    if drawn["compiled"] is not None:
+        _compared(recipe, drawn, tally)
+
+
+def _in_torch(recipe: Any, log: Any, start: Any, tally: Tally) -> Any:
     tally.counts["steps"] += log.steps * log.trajectories
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", category=DeprecationWarning, module="torch")
-        track = _run(recipe, log, start, "torch", tally)
+        return _run(recipe, log, start, "torch", tally)
+
+
+def _compared(recipe: Any, drawn: dict[str, Any], tally: Tally) -> None:
+    """Both engines over moderate rows; what is compiled for these goes over hostile ones too."""
+    spec = drawn["compiled"]
+    log, start = rows.make(spec, recipe)
+    track = _in_torch(recipe, log, start, tally)
     if track is None:
-        return
+        raise Violation("moderate rows: an error")
     _sound(track)
-    if drawn["compiled"]:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            other = _run(recipe, log, start, "fused", tally)
-        tally.counts["steps compiled"] += log.steps * log.trajectories
-        if other is None:
-            raise Violation("torch has a result, the compiled engine none")
-        _equal(track, other)
-        _hostile(recipe, drawn["log"], tally)
-
-
-def _hostile(recipe: Any, spec: dict[str, Any], tally: Tally) -> None:
-    """What is compiled once goes over hostile logs too: sound, or an error by name."""
+    other = _compiled(recipe, log, start, tally)
+    if other is None:
+        raise Violation("torch has a result, the compiled engine none")
+    _equal(track, other)
+    tally.counts["recipes compared in both engines"] += 1
+    for option in recipes.options(drawn["recipe"]):
+        tally.counts[f"engines: {option}"] += 1
     rng = random.Random(spec["seed"])
     for _ in range(4):
         log, start = rows.make({**rows.draw(rng, True), "float32": False}, recipe)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            track = _run(recipe, log, start, "fused", tally)
-        tally.counts["steps compiled"] += log.steps * log.trajectories
-        if track is not None:
-            _sound(track)
+        other = _compiled(recipe, log, start, tally)
+        if other is not None:
+            _sound(other)
+
+
+def _compiled(recipe: Any, log: Any, start: Any, tally: Tally) -> Any:
+    tally.counts["steps compiled"] += log.steps * log.trajectories
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return _run(recipe, log, start, "fused", tally)
 
 
 def _run(recipe: Any, log: Any, start: Any, engine: str, tally: Tally) -> Any:
@@ -127,17 +139,16 @@ def _equal(first: Any, second: Any) -> None:
     worst = float(((first.std - second.std) / std).abs().max())
     if not worst < AGREE:
         raise Violation(f"engines: standard deviations differ by {worst:.3g}")
+    for name in ("weight", "gate", "modes"):
+        a, b = getattr(first.record, name), getattr(second.record, name)
+        worst = float((a - b).abs().max()) if a.numel() else 0.0
+        if not worst < AGREE:
+            raise Violation(f"engines: record.{name} differs by {worst:.3g}")
 
 
 def shrink(drawn: dict[str, Any], what: str) -> dict[str, Any]:
     """The smallest case that still is a violation of the same sort: fewer options, fewer rows."""
     words = what.split(":")[0]
-    plain = {
-        "motion": "discrete", "sensors": "position", "weight": "plain", "iterations": 0,
-        "weigh_prior": False, "mad": False, "scope": "channel", "distance": "rms",
-        "standardise": None, "gate": "none", "recovery": "none", "adaptation": "none",
-        "federated": False, "linearise": "taylor", "common": False, "fusion": False, "modes": False,
-    }  # fmt: skip
     best = drawn
     quiet = Tally(out=None)  # type: ignore[arg-type]
 
@@ -148,7 +159,9 @@ def shrink(drawn: dict[str, Any], what: str) -> dict[str, Any]:
             return str(error).split(":")[0] == words
         return False
 
-    for key, value in plain.items():
+    if still({**best, "compiled": None}):
+        best = {**best, "compiled": None}
+    for key, value in recipes.PLAIN.items():
         candidate = {**best, "recipe": {**best["recipe"], key: value}}
         if candidate != best and still(candidate):
             best = candidate

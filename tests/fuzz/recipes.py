@@ -45,6 +45,20 @@ ADAPTATIONS = (
 )  # fmt: skip
 SCOPES = ("channel", "sensor", "all", "named")
 
+#: The recipe that a violation is shrunk to.
+PLAIN: Spec = {
+    "motion": "discrete", "sensors": "position", "weight": "plain", "iterations": 0,
+    "weigh_prior": False, "mad": False, "scope": "channel", "distance": "rms",
+    "standardise": None, "gate": "none", "recovery": "none", "adaptation": "none",
+    "federated": False, "linearise": "taylor", "common": False, "fusion": False, "modes": False,
+}  # fmt: skip
+
+
+def options(spec: Spec) -> list[str]:
+    """What a recipe has in it, by name: of a fusion only what it takes."""
+    taken = ("motion", "linearise", "fusion") if spec["fusion"] else PLAIN
+    return [f"{key} {value}" for key, value in spec.items() if key in taken and key != "noise"]
+
 
 def draw(rng: random.Random) -> Spec:
     """A recipe; not all of them fit together."""

@@ -26,7 +26,7 @@ def draw(rng: random.Random, hostile: bool) -> Spec:
     return {
         "seed": rng.randrange(2**31),
         "steps": rng.choice((20, 60)),
-        "trajectories": rng.choice((1, 256, 1024) if hostile else (1, 8)),
+        "trajectories": rng.choice((1, 512, 2048) if hostile else (1, 8)),
         "hazards": sorted(rng.sample(HAZARDS, count)),
         "float32": hostile and rng.random() < 0.3,
     }

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from difffilter.errors import InputError, LogError
 from difffilter.logs.log import Log
-from difffilter.logs.logfile import read_log, write_log
+from difffilter.logs.logfile import read_any, read_log, write_log
 
 CHANNELS = ("tdoa_2", "tdoa_3")
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
@@ -196,3 +196,11 @@ def test_a_true_state_has_a_name(state: str, tmp_path: Path) -> None:
     path.write_text(GOOD.replace("truth_x", f"truth_{state}"))
     with pytest.raises(LogError, match="expected truth_ and the name of a state"):
         read_log(path, CHANNELS)
+
+
+@pytest.mark.parametrize("name", ["<script>x", "../../evil", "a b", "x" * 65, "*/ int x; /*"])
+def test_a_channel_that_nobody_named_has_a_name(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(f'time,good,"{name}"\n0,1,2\n1,1,2\n')
+    with pytest.raises(LogError, match=r"log\.csv, line 1: found column .*expected a name"):
+        read_any(path)
