@@ -59,7 +59,8 @@ def _close(
     changes = (taken[1:] != taken[:-1]).any(-1).nonzero()
     if not len(changes):
         return row.z
-    return tried[int(changes[-1]) + int(above)]
+    chosen: Tensor = tried[int(changes[-1]) + int(above)]
+    return chosen
 
 
 def _many(current: Belief) -> Belief:

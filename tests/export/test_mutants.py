@@ -68,21 +68,27 @@ def passes(folder: Path, number: int = 0) -> bool:
     return done.returncode == 0
 
 
-@pytest.mark.parametrize("flags", [[], ["-DONE_FLOAT"]], ids=["double", "float"])
+@pytest.mark.parametrize(
+    ("case", "every", "flags"),
+    [(("uwb-ranges", "robust"), 7, []), (("uwb-ranges", "robust"), 7, ["-DONE_FLOAT"]),
+     (("gate-lockout", "gated"), 5, [])],
+    ids=["double", "float", "gate"],
+)  # fmt: skip
 def test_a_wrong_sign_operation_or_dropped_term_anywhere_fails(
-    flags: list[str], tmp_path: Path
+    case: tuple[str, str], every: int, flags: list[str], tmp_path: Path
 ) -> None:
-    export_c(published("uwb-ranges", "robust"), tmp_path, "one")
+    """What leads to a gate is seen in its decisions alone: rows lie next to its bound."""
+    export_c(published(*case), tmp_path, "one")
     text, told = mutated((tmp_path / "one.c").read_text())
     (tmp_path / "one.c").write_text(text)
     made = compiled(tmp_path, *flags)
     assert made.returncode == 0, made.stderr
     assert passes(tmp_path)
-    numbers = range(1, len(told) + 1, 7)
+    numbers = range(1, len(told) + 1, every)
     assert len(numbers) > 100
     # Guards against a division by zero, say, matter where none is near.
     left = [told[n - 1] for n in numbers if passes(tmp_path, n)]
-    assert len(left) < 0.02 * len(numbers), left
+    assert len(left) < 0.03 * len(numbers), left
 
 
 @pytest.mark.parametrize("flags", [[], ["-DONE_FLOAT"]], ids=["double", "float"])
