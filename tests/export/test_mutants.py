@@ -88,7 +88,7 @@ def test_a_wrong_sign_operation_or_dropped_term_anywhere_fails(
     assert len(numbers) > 100
     # Guards against a division by zero, say, matter where none is near.
     left = [told[n - 1] for n in numbers if passes(tmp_path, n)]
-    assert len(left) < 0.03 * len(numbers), left
+    assert len(left) < (0.02 if every == 7 else 0.03) * len(numbers), left
 
 
 @pytest.mark.parametrize("flags", [[], ["-DONE_FLOAT"]], ids=["double", "float"])
