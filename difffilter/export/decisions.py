@@ -25,7 +25,7 @@ TURNS = "-ba-bbaaaaab-aab-aaaaaaabba"
 
 
 def decided(filter: Recipe, log: Log, values: Values, temperature: float | None, seed: int) -> Log:
-    """The log with innovations, in some rows, next to where a gate or a hard weight decides.
+    """The log with innovations, in some rows, next to where a gate decides.
 
     A gate shows nothing of what it compares but on which side of its bound it lies. So rows are
     made that lie 0.5 % on either side, in a random direction over the present channels, and runs
@@ -74,5 +74,5 @@ def _many(current: Belief) -> Belief:
 
 
 def _taken(record: Record) -> Tensor:
-    """Which channels (sizes, 2 m) pass the gate, and which have a weight at all."""
-    return torch.cat([record.gate > 0.5, record.weight > 0.0], dim=-1)
+    """Which channels (sizes, m) pass the gate. Weights are told as numbers: nothing hides there."""
+    return record.gate > 0.5
