@@ -54,8 +54,8 @@ class Varying(Wrapped):
     Example:
         >>> from difffilter import Position, Varying
         >>> fix = Varying(Position(name="fix", sigma=0.5), "root", "hdop", coefficient=1.2)
-        >>> [p.name for p in fix.parameters]
-        ['fix.sigma', 'fix.bias', 'fix.slope']
+        >>> ", ".join(p.name for p in fix.parameters)
+        'fix.sigma, fix.bias, fix.slope'
     """
 
     law: str = "times"

@@ -215,8 +215,8 @@ def test_in_a_process(place: Path, arguments: str, needle: str) -> None:
     assert needle in done.stderr
 
 
-def test_compare_needs_truth(place: Path, capsys: Any) -> None:
+def test_what_is_tuned_by_errors_needs_truth(place: Path, capsys: Any) -> None:
     lines = Path("log.csv").read_text().splitlines()
     Path("log.csv").write_text("".join(",".join(li.split(",")[:8]) + "\n" for li in lines))
-    assert "truth" in fails(capsys, "compare", "tiny.toml", "--log", "log.csv")
+    assert "truth" in fails(capsys, "compare", "tiny.toml", "--log", "log.csv", "--states")
     assert "truth" in fails(capsys, "tune", "tiny.toml", "--log", "log.csv", "--out", "a.json")

@@ -77,7 +77,7 @@ def test_long_and_strange_values_are_cut_and_escaped(tmp_path: Path) -> None:
     assert "world.steps: found 'xxx" in done.stderr
     assert len(done.stderr) < 400
     done = process("show", "a\x1b[31m\n\u200b.toml")
-    assert done.stderr.startswith(r"difffilter: error: a\x1b[31m \u200b.toml: found")
+    assert done.stderr.startswith(r"difffilter: error: a\x1b[31m\n\u200b.toml: found")
 
 
 def test_printable() -> None:
