@@ -83,7 +83,7 @@ def _delayed(sensor: Sensor, motion: Motion) -> Sensor:
 
 
 def extended(
-    motion: Motion, constants: Constants, mean: Tensor, deviations: Tensor
+    motion: Motion | None, constants: Constants, mean: Tensor, deviations: Tensor
 ) -> tuple[Tensor, Tensor]:
     """A start of the motion's own states with the errors at 0, as uncertain as in the long run.
 

@@ -24,7 +24,7 @@ from difffilter.sensors.information import common_noise
 from difffilter.sensors.sensor import Sensor
 from difffilter.sensors.wrapped import check_inputs, inputs_of
 
-__all__ = ["RULES", "Modelled", "Recipe", "check_independent", "declared_start"]
+__all__ = ["RULES", "Modelled", "Recipe", "check_independent", "declared_start", "motion_of"]
 
 RULES = ("taylor", "cubature")
 
@@ -70,7 +70,7 @@ class Recipe(Declared):
 
     @property
     def bare_states(self) -> tuple[str, ...]:
-        return self.bare_motion.states
+        return self.states if motion_of(self) is None else self.bare_motion.states
 
     @property
     def bare_sensors(self) -> tuple[Sensor, ...]:
@@ -90,6 +90,7 @@ class Recipe(Declared):
         final: Belief | None = None,
     ) -> Track:
         """Estimates of this recipe over time, with the names that they need."""
+        motion = motion_of(self)
         return Track(
             states=self.states,
             channels=self.channels,
@@ -101,7 +102,7 @@ class Recipe(Declared):
             modes=self.mode_names,
             kinds=self.kinds,
             error_states=self.error_states,
-            local=None if self.motion.flat else self.motion.local,
+            local=None if motion is None or motion.flat else motion.local,
         )
 
     @property
@@ -129,6 +130,12 @@ class Recipe(Declared):
 
         Pure and of static shape, like :func:`difffilter.step`, which says more.
         """
+
+
+def motion_of(recipe: Recipe) -> Motion | None:
+    """The recipe's motion; None for one that follows its measurements without a model."""
+    motion: Motion | None = getattr(recipe, "motion", None)
+    return motion
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from difffilter.core.beliefs import Belief, Measurement, Record, belief
 from difffilter.engine.choice import ENGINES, eager_seconds, with_engine
 from difffilter.errors import InputError, NonFiniteError
 from difffilter.filters.placing import extended
-from difffilter.filters.recipe import Recipe
+from difffilter.filters.recipe import Recipe, motion_of
 from difffilter.filters.stepping import step
 from difffilter.logs.log import Log, Start
 from difffilter.logs.track import Track
@@ -32,7 +32,7 @@ def start_belief(filter: Recipe, constants: Constants, start: Start) -> Belief:
     without = None if covariance is None else torch.isnan(covariance).all(-1).all(-1)
     if without is not None and covariance is not None and not bool(without.any()):
         given = belief(mean, covariance, n)
-        return filter.start(*extended(filter.motion, constants, given.mean, given.deviations))
+        return filter.start(*extended(motion_of(filter), constants, given.mean, given.deviations))
     if "start.sigma" not in constants:
         raise InputError("start: found no covariance, expected one, or a filter with start.sigma")
     deviations = torch.diag_embed(constants["start.sigma"].expand(n))
@@ -41,7 +41,7 @@ def start_belief(filter: Recipe, constants: Constants, start: Start) -> Belief:
         here = without[..., None, None]
         given = belief(mean, torch.where(here, torch.eye(n, dtype=mean.dtype), covariance), n)
         deviations = torch.where(here, deviations, given.deviations)
-    return filter.start(*extended(filter.motion, constants, mean, deviations))
+    return filter.start(*extended(motion_of(filter), constants, mean, deviations))
 
 
 def run(

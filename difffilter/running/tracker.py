@@ -13,7 +13,7 @@ from difffilter.core.beliefs import Belief, Measurement, Record, belief
 from difffilter.engine.choice import pick, tried
 from difffilter.errors import InputError, NonFiniteError
 from difffilter.filters.placing import extended
-from difffilter.filters.recipe import Recipe
+from difffilter.filters.recipe import Recipe, motion_of
 from difffilter.filters.stepping import step
 from difffilter.logs.log import Log
 from difffilter.logs.track import Track
@@ -82,7 +82,7 @@ class Tracker:
             given = self._tensor(mean)
             size = given.shape[-1] - len(filter.states) + len(filter.error_states)
             first = belief(given, self._tensor(covariance), size)
-            first = Belief(*extended(filter.motion, self._constants, *first[:2]), {})
+            first = Belief(*extended(motion_of(filter), self._constants, *first[:2]), {})
             if first.mean.shape[-1] != len(filter.states):
                 raise InputError(
                     f"mean: found {first.mean.shape[-1]} numbers, "
