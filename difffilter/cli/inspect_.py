@@ -92,7 +92,7 @@ def _read(args: Namespace) -> tuple[Log, Case | None]:
         return read_any(args.log), None
     case = load_case(args)
     if not isinstance(case, Scenario):
-        return replace_batch(as_log(case, [args.log])), case
+        return as_log(case, [args.log]).alone(), case
     read = read_run(case, args.log)
     for line in read.told:
         note(line)
@@ -101,17 +101,6 @@ def _read(args: Namespace) -> tuple[Log, Case | None]:
     except LogError as error:  # told, and what the log says of itself all the same
         note(str(error))
     return read.log, replace(scenario_of_run(case, Path(args.log).stem), runs={})
-
-
-def replace_batch(log: Log) -> Log:
-    """The only trajectory of a batch, without the batch's dimension."""
-    return replace(
-        log,
-        time=log.time[:, 0] if log.time.dim() > 1 else log.time,
-        z=log.z[:, 0],
-        truth=None if log.truth is None else log.truth[:, 0],
-        inputs={n: v[:, 0] if v.dim() > 1 else v for n, v in log.inputs.items()},
-    )
 
 
 def _text(name: str, found: Inspection) -> Iterator[str]:

@@ -44,14 +44,15 @@ def shared_log_density(
     """(...), the same sum for noise above 0, by what the update goes through anyway.
 
     Beside the update of a filter without weights the compiled engine has nothing left to do but
-    a logarithm for every ``TOGETHER`` channels.
+    a logarithm for every ``TOGETHER`` channels (in float64; in float32 such products overflow).
     """
     weight = present.to(noise.dtype)
     gain, s = _gains(observed, noise, innovation, weight)
     known = torch.where(present, s, 1.0)
+    together = TOGETHER if s.dtype == torch.float64 else 1
     total = (gain.square() * s).sum(-1) + weight.sum(-1) * math.log(2.0 * math.pi)
-    for at in range(0, known.shape[-1], TOGETHER):
-        total = total + known[..., at : at + TOGETHER].prod(-1).log()
+    for at in range(0, known.shape[-1], together):
+        total = total + known[..., at : at + together].prod(-1).log()
     return -0.5 * total
 
 

@@ -20,6 +20,7 @@ from difffilter.scoring.truth import nominal_sigma
 from difffilter.seeds import stream
 from difffilter.sensors.information import stacked_noise
 from difffilter.sensors.stations import StationSensor
+from difffilter.sensors.varying import followed
 from difffilter.sensors.wrapped import bare
 
 __all__ = ["rows"]
@@ -55,7 +56,10 @@ def rows(checkpoint: Checkpoint, filter: Recipe, known: Sequence[str], seed: int
     own = start.covariance
     told = own is not None and not bool(torch.isnan(own).all())
     sigma = own.diagonal().sqrt() if own is not None and told else _sigma(filter, values, known)
-    return replace(log, start=Start(start.mean, _correlated(sigma), start.time))
+    errors = filter.prepare(values).get(SIGMA, sigma[:0])  # a start need not tell of them
+    mean = torch.nn.functional.pad(start.mean, (0, len(filter.states) - len(start.mean)))
+    sigma = torch.cat([sigma, errors[len(errors) + len(sigma) - len(filter.error_states) :]])
+    return replace(log, start=Start(mean, _correlated(sigma), start.time))
 
 
 def _correlated(sigma: Tensor) -> Tensor:
@@ -94,6 +98,8 @@ def _walk(filter: Recipe, values: Values, known: Sequence[str], seed: int, centr
     time = torch.arange(1, ROWS + 1, dtype=torch.float64) * DT
     ramp = torch.linspace(0.0, float(scale.max()), ROWS, dtype=torch.float64)
     inputs = {name: ramp * (-1.0) ** i for i, name in enumerate(known)}  # across the target's way
+    noisier = torch.linspace(0.5, 2.0, ROWS, dtype=torch.float64)
+    inputs |= {name: noisier for name in followed(filter.sensors) if name in known}
     found = []
     for k in range(ROWS):
         row = {name: value[k] for name, value in inputs.items()}

@@ -167,6 +167,18 @@ class Log(Rows):
             names=tuple(self.names[i] for i in at.tolist()) if self.names else (),
         )
 
+    def alone(self, index: int = 0) -> Log:
+        """One trajectory of a batch, z (T, m), without its start."""
+        one = self.select([index])
+        return replace(
+            one,
+            time=one.time if one.time.dim() == 1 else one.time[:, 0],
+            z=one.z[:, 0],
+            truth=None if one.truth is None else one.truth[:, 0],
+            inputs={n: v[:, 0] if v.dim() > 1 else v for n, v in one.inputs.items()},
+            start=None,
+        )
+
     def only(self, channels: Sequence[str]) -> Log:
         """The log with some of its channels, in the given order; InputError if one is absent."""
         if tuple(channels) == self.channels:

@@ -118,8 +118,11 @@ def write_log(path: str | Path, log: Log, mark: str = "") -> None:
             layout is applied when it is read; none if "".
 
     Raises:
-        InputError: a batched log (see :meth:`Log.select`), or a place that cannot be written.
+        InputError: a log of several trajectories (see :meth:`Log.alone`), or a place
+            that cannot be written.
     """
+    if log.z.dim() == 3 and log.trajectories == 1:
+        log = log.alone()
     if log.z.dim() != 2 or log.time.dim() != 1:
         raise InputError(
             f"{path}: found a log of shape {list(log.z.shape)}, expected one trajectory"

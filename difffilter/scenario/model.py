@@ -50,7 +50,8 @@ class Model:
             measurements (see :func:`difffilter.from_measurements`).
         factory: ``module:function`` that makes the recipe, for whoever loads frozen values.
         score: which rows count, and over which time.
-        inputs: columns of known inputs that log files have.
+        inputs: columns of known inputs that log files have; those that the recipe's sensors
+            read are among them.
         tuning: settings; title, notes: for reports.
 
     Raises:
@@ -85,6 +86,8 @@ class Model:
             function.isidentifier() and all(part.isidentifier() for part in module.split("."))
         ):
             raise InputError(f"factory: found {self.factory!r:.80}, expected module:function")
+        known = dict.fromkeys((*self.inputs, *getattr(self.recipe, "inputs", ())))
+        object.__setattr__(self, "inputs", tuple(known))
         object.__setattr__(self, "tuning", replace(self.tuning, system=self.name))
 
     @property

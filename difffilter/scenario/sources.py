@@ -70,18 +70,4 @@ def _singles(log: Log) -> list[Log]:
     """The trajectories of a log, one by one."""
     if log.z.dim() < 3:
         return [log]
-    made = []
-    for i in range(log.trajectories):
-        one = log.select([i])
-        time = one.time if one.time.dim() == 1 else one.time[:, 0]
-        made.append(
-            replace(
-                one,
-                time=time,
-                z=one.z[:, 0],
-                truth=None if one.truth is None else one.truth[:, 0],
-                inputs={n: v[:, 0] if v.dim() > 1 else v for n, v in one.inputs.items()},
-                start=None,
-            )
-        )
-    return made
+    return [log.alone(i) for i in range(log.trajectories)]

@@ -19,14 +19,14 @@ __all__ = ["ErrorStates", "Lasting", "Place"]
 
 
 class Place(NamedTuple):
-    """Where the error states stand: behind ``size`` others (tangent: ``rows``), at ``at``."""
+    """Where the error states stand: behind ``size`` others, at ``at``."""
 
     size: int
     at: int
 
 
 class ErrorStates(NamedTuple):
-    """ErrorStates states that share parameters: their names, and those of sigma and time."""
+    """Error states that share parameters: their names, and those of sigma and time."""
 
     states: tuple[str, ...]
     sigma: str

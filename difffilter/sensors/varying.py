@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from difffilter.parameters.values import Constants
 from difffilter.sensors.sensor import Inputs, Noise, Sensor
 from difffilter.sensors.wrapped import Wrapped, bare, named
 
-__all__ = ["LAWS", "Varying", "varies"]
+__all__ = ["LAWS", "Varying", "followed", "varies"]
 
 #: What the sensor's sigma a becomes with a column c and a coefficient b, by name: the formula,
 #: what of c is impossible, and the coefficient's parameter.
@@ -189,3 +189,13 @@ def varies(sensor: Sensor) -> bool:
             return True
         sensor = sensor.sensor
     return False
+
+
+def followed(sensors: Sequence[Sensor]) -> tuple[str, ...]:
+    """Names of the columns that noise laws follow."""
+    found: list[str] = []
+    for sensor in sensors:
+        while isinstance(sensor, Wrapped):
+            found += sensor.column if isinstance(sensor, Varying) else ()
+            sensor = sensor.sensor
+    return tuple(dict.fromkeys(found))

@@ -1,43 +1,23 @@
-"""Which parameters are tuned, by name or pattern."""
+"""A case with other parameters tuned than it declares."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from typing import Any
 
-from difffilter.errors import InputError
-from difffilter.parameters.parameters import Parameter
+from difffilter.parameters.selection import matching
 from difffilter.scenario.case import Case
 from difffilter.scenario.model import Model, tuning_alone
 
-__all__ = ["matching", "with_tuned"]
-
-
-def matching(declarations: Mapping[str, Parameter], patterns: Sequence[str]) -> list[str]:
-    """Names of the parameters that a pattern names (``*`` and ``?`` as in file names).
-
-    Raises:
-        InputError: no pattern, or one that names nothing.
-    """
-    if not patterns:
-        raise InputError("tuned: found no name, expected one or more")
-    found: list[str] = []
-    for pattern in patterns:
-        names = [name for name in declarations if fnmatchcase(name, pattern)]
-        if not names:
-            expected = ", ".join(declarations)
-            raise InputError(f"tuned: found {pattern!r:.80}, expected names among {expected}")
-        found += names
-    return list(dict.fromkeys(found))
+__all__ = ["with_tuned"]
 
 
 def with_tuned(case: Case, patterns: Sequence[str]) -> Case:
     """The case with these parameters of its recipe tuned, and no others.
 
     Raises:
-        InputError: as :func:`matching`.
+        InputError: as :func:`difffilter.parameters.selection.matching`.
     """
     recipe = case.system()
     names = matching(recipe.declarations, patterns)

@@ -143,9 +143,12 @@ def moved_start(filter: Recipe, log: Log, level: float, seed: int) -> Log:
     start = log.start
     assert start is not None
     begin = start_belief(filter, filter.prepare(), start)
-    sigma = begin.covariance.diagonal(dim1=-2, dim2=-1).sqrt()[..., : start.mean.shape[-1]]
-    draw = torch.rand(start.mean.shape, generator=stream(seed, "start"), dtype=start.mean.dtype)
-    mean = start.mean + level * torch.where(draw < 0.5, -sigma, sigma)
+    whole = start.mean.shape[-1] == len(filter.states)
+    motion = filter.motion if whole else filter.bare_motion
+    sigma = begin.covariance.diagonal(dim1=-2, dim2=-1).sqrt()[..., : len(motion.tangent)]
+    draw = torch.rand(sigma.shape, generator=stream(seed, "start"), dtype=sigma.dtype)
+    shift = level * torch.where(draw < 0.5, -sigma, sigma)
+    mean = motion.retract(start.mean, shift)
     return replace(log, start=Start(mean, start.covariance, start.time))
 
 

@@ -77,6 +77,17 @@ def read(tmp_path: Path, text: str | bytes, inputs: tuple[str, ...] = ()) -> Log
     return read_log(path, CHANNELS, inputs)
 
 
+def test_a_batch_of_one_is_written_as_its_trajectory(tmp_path: Path) -> None:
+    time, z = tensor([0.0, 1.0]), tensor([[[1.0], [2.0]], [[3.0], [4.0]]])
+    batch = Log(("a",), time, z, inputs={"wind": tensor([5.0, 6.0])})
+    write_log(tmp_path / "one.csv", batch.select([1]))
+    found = read_log(tmp_path / "one.csv", ["a"], ["wind"])
+    assert found.z.tolist() == [[2.0], [4.0]]
+    assert found.inputs["wind"].tolist() == [5.0, 6.0]
+    with pytest.raises(InputError, match="expected one trajectory"):
+        write_log(tmp_path / "two.csv", batch)
+
+
 def test_an_empty_field_is_a_missing_channel(tmp_path: Path) -> None:
     log = read(tmp_path, GOOD)
     assert log.present.tolist() == [[True, True], [False, True], [True, False]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 import torch
@@ -105,3 +106,19 @@ def test_laws_that_do_not_fit(
 ) -> None:
     with pytest.raises(InputError, match=message):
         df.Varying(df.Position(name="fix"), law, column, coefficient)
+
+
+def test_a_model_reads_the_column_from_files(tmp_path: Path) -> None:
+    filter = recipe("times")
+    begin = df.Start(torch.zeros(4).double(), torch.eye(4).double(), 0.0)
+    model = df.Model(filter, "fixes", start=begin)
+    assert model.inputs == ("accuracy",)
+    path = tmp_path / "drive.csv"
+    path.write_text(
+        "time,fix_1,fix_2,accuracy,truth_x,truth_y\n"
+        "1,0.1,0.2,3,0,0\n2,0.3,0.1,1,0,0\n3,0.2,0.2,2,0,0\n"
+    )
+    found = df.compare(model, log=[path]).rows[0].rmse
+    log = df.read_log(path, filter.channels, ["accuracy"])
+    track = df.run(filter, log, start=begin)
+    assert found == pytest.approx(float(track.mean[:, :2].square().sum(-1).mean().sqrt()))

@@ -10,13 +10,13 @@ Run: ``python -m training.uwb.without_truth path/to/los_A1.csv ...``.
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 import difffilter as df
+from training.uwb.lasting import COMMON, lasting
 
 TRUTH = {"position": 1.0, "consistency": 0.1}
 FREE = {"likelihood": 1.0}
@@ -30,49 +30,6 @@ WAYS = {
     "hide ahead, 1 s": ("ahead", FREE),
 }
 STEPS = 100
-
-
-def lasting(base: df.Filter) -> df.Filter:
-    """The filter with a range error that all channels share: Gauss-Markov, sigma and time."""
-    ranges = base.sensors[0]
-
-    def ahead(x: Tensor, dt: Tensor, inputs: object, values: dict[str, Tensor]) -> Tensor:
-        step = dt.unsqueeze(-1) if dt.dim() else dt
-        moved = x[..., :2] + step * x[..., 2:4]
-        kept = x[..., 4:5] * torch.exp(-step / values["common.time"])
-        return torch.cat([moved, x[..., 2:4], kept], -1)
-
-    def noise(dt: Tensor, values: dict[str, Tensor]) -> Tensor:
-        a, none = values["motion.acceleration"], torch.zeros_like(dt)
-        share = (1.0 - torch.exp(-2.0 * dt / values["common.time"])).clamp_min(1e-12).sqrt()
-        columns = [
-            torch.stack([a * dt**2 / 2.0, none, a * dt, none, none], -1),
-            torch.stack([none, a * dt**2 / 2.0, none, a * dt, none], -1),
-            torch.stack([none, none, none, none, values["common.sigma"] * share], -1),
-        ]
-        return torch.stack(columns, -1)
-
-    def seen(x: Tensor, inputs: dict[str, Tensor], values: dict[str, Tensor]) -> Tensor:
-        return ranges.predict(x[..., :4], inputs, values) + x[..., 4:5]
-
-    states = ("x", "y", "vx", "vy", "error")
-    declared = (
-        df.Parameter("motion.acceleration", 3.0, df.Positive(), "m/s^2", tuned=True),
-        df.Parameter("common.sigma", 0.2, df.Positive(), "m", tuned=True),
-        df.Parameter("common.time", 1.4, df.Positive(), "s", tuned=True),
-    )
-    motion = df.FunctionMotion(states, ahead, noise, declared)
-    sensor = df.FunctionSensor(ranges.channels, seen, 0.1, name="range")
-    found = df.Filter(
-        motion,
-        (sensor,),
-        base.weight,
-        standardise=base.standardise,
-        start_sigma=(2.0, 2.0, 1.0, 1.0, 0.2),
-    )
-    names = ("range.sigma", *(p.name for p in base.weight.parameters))
-    free = {n: replace(found.declarations[n], tuned=True) for n in names}
-    return replace(found, overrides=free)
 
 
 def tuned(
@@ -113,27 +70,18 @@ def main(paths: list[str]) -> None:
     logs = {Path(p).stem: df.started(scenario, base, df.load_logs(scenario, [p])) for p in paths}
     print("| model | tuned by | left out | RMSE (m) | smoothed | NEES, long axis | short axis |")
     print("|---|---|---|---|---|---|---|")
-    for model, recipe in (("white", base), ("lasting", lasting(base))):
+    for model, recipe in (("white", base), ("lasting", lasting(base, common=COMMON))):
         for way in WAYS:
             for held in logs:
-                ready = {n: _extended(log, recipe) for n, log in logs.items()}
-                others = [log for n, log in ready.items() if n != held]
+                others = [log for n, log in logs.items() if n != held]
                 values = tuned(recipe, others, way, scenario.score)
-                log = ready[held]
+                log = logs[held]
                 track = df.run(recipe, log, values)
                 smooth = df.smooth(recipe, log, values)
                 nees = df.mean_directions(log, track, df.scored_rows(log, track, scenario.score))
                 axes = [f"{x:.2f}" for name, x in nees.items() if name.startswith("position")]
                 rmse = [f"{float(df.rmse(log, x, scenario.score)):.3f}" for x in (track, smooth)]
                 print("|", " | ".join([model, way, held, *rmse, *axes]), "|", flush=True)
-
-
-def _extended(log: df.Log, recipe: df.Filter) -> df.Log:
-    """The log's start with what the recipe has beyond it: 0."""
-    assert log.start is not None
-    more = len(recipe.states) - log.start.mean.shape[-1]
-    mean = torch.nn.functional.pad(log.start.mean, (0, more))
-    return replace(log, start=replace(log.start, mean=mean, covariance=None))
 
 
 if __name__ == "__main__":
