@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from attitude_cases import attitude
 from helpers import array, assert_close, tensor
 from torch import Tensor
 
@@ -16,7 +17,6 @@ from difffilter import (
     InputError,
     Log,
     Mixture,
-    Parameter,
     Start,
     run,
     wrap,
@@ -75,37 +75,10 @@ def test_a_heading_that_wraps_is_the_heading_that_does_not(engine: str) -> None:
 FIELDS = {"a": (0.0, 0.0, 9.81), "m": (0.4, 0.0, 0.9)}
 
 
-def attitude(gyro: float, turn: Tensor) -> Filter:
+def seen_turned(gyro: float, turn: Tensor) -> Filter:
     """An attitude by two fields; the reference turned by a quaternion."""
-
-    def ahead(q: Tensor, dt: Tensor, inputs: dict[str, Tensor], values: object) -> Tensor:
-        rate = torch.stack([inputs["wx"], inputs["wy"], inputs["wz"]], dim=-1)
-        return quaternion.retract(q, rate * dt.unsqueeze(-1))
-
-    def noise(dt: Tensor, values: dict[str, Tensor]) -> Tensor:
-        return dt.sqrt()[..., None, None] * torch.eye(3).double() * values["gyro.sigma"]
-
-    motion = FunctionMotion(
-        ("qw", "qx", "qy", "qz"),
-        ahead,
-        noise,
-        (Parameter("gyro.sigma", gyro),),
-        tangent=("rx", "ry", "rz"),
-        retract_function=quaternion.retract,
-        local_function=quaternion.local,
-    )
-    sensors = [
-        FunctionSensor(
-            tuple(f"{name}{axis}" for axis in "xyz"),
-            lambda q, i, v, field=field: quaternion.rotate_back(
-                q, quaternion.rotate(turn, tensor(field))
-            ),
-            sigma=0.2,
-            name=name,
-        )
-        for name, field in FIELDS.items()
-    ]
-    return Filter(motion, tuple(sensors))
+    fields = {name: array(quaternion.rotate(turn, tensor(f))) for name, f in FIELDS.items()}
+    return attitude(fields, gyro, (0.2, 0.2))
 
 
 def moving(seed: int = 2, steps: int = 5) -> tuple[Log, Tensor]:
@@ -127,7 +100,7 @@ def test_equal_modes_of_an_attitude_are_the_plain_filter() -> None:
     log, q = moving()
     one = quaternion.exponential(torch.zeros(3).double())
     start = Belief(quaternion.retract(q, tensor([0.2, 0.1, -0.2])), 0.3 * torch.eye(3).double())
-    filter = attitude(0.05, one)
+    filter = seen_turned(0.05, one)
     expected = run(filter, log, start=start, engine="torch")
     found = run(Mixture({"a": filter, "b": filter}), log, start=start, engine="torch")
     assert_close(found.mean, array(expected.mean), 1e-12)
@@ -140,7 +113,7 @@ def test_a_mixture_of_attitudes_does_not_depend_on_the_reference() -> None:
     turns = [quaternion.exponential(tensor(v)) for v in ([0.0, 0.0, 0.0], [1.0, -2.0, 0.5])]
     for turn in turns:
         mixture = Mixture(
-            {"calm": attitude(0.02, turn), "slips": attitude(1.0, turn)}, own=("gyro.*",)
+            {"calm": seen_turned(0.02, turn), "slips": seen_turned(1.0, turn)}, own=("gyro.*",)
         )
         begin = quaternion.product(turn, quaternion.retract(q, tensor([0.2, 0.1, -0.2])))
         start = Belief(begin, 0.3 * torch.eye(3).double())

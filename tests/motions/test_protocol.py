@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from attitude_cases import attitude
 from helpers import array, assert_close, tensor
 from torch import Tensor
 
@@ -14,7 +15,6 @@ from difffilter.filters.filter import Filter
 from difffilter.filters.stepping import step
 from difffilter.motions import quaternion
 from difffilter.motions.blocks import ConstantVelocity, CoordinatedTurn, FunctionMotion
-from difffilter.parameters.parameters import Parameter
 from difffilter.sensors.builtin import Position
 from difffilter.sensors.sensor import FunctionSensor
 
@@ -29,34 +29,8 @@ def still(state: Tensor, dt: Tensor, inputs: object, values: object) -> Tensor:
 
 def attitude_filter(linearise: str = "taylor") -> Filter:
     """Quaternion, gyro as an input, gravity and the magnetic field seen in the body's axes."""
-
-    def turned(q: Tensor, dt: Tensor, inputs: dict[str, Tensor], values: object) -> Tensor:
-        rate = torch.stack([inputs["wx"], inputs["wy"], inputs["wz"]], dim=-1)
-        return quaternion.retract(q, rate * dt.unsqueeze(-1))
-
-    def noise(q: Tensor, dt: Tensor, inputs: object, values: dict[str, Tensor]) -> Tensor:
-        unit = torch.eye(3).double() * values["gyro.sigma"]
-        return dt.sqrt()[..., None, None] * unit
-
-    motion = FunctionMotion(
-        ("qw", "qx", "qy", "qz"),
-        turned,
-        noise,
-        (Parameter("gyro.sigma", GYRO),),
-        tangent=("rx", "ry", "rz"),
-        retract_function=quaternion.retract,
-        local_function=quaternion.local,
-    )
-    sensors = [
-        FunctionSensor(
-            tuple(f"{name}{axis}" for axis in "xyz"),
-            lambda q, i, v, field=field: quaternion.rotate_back(q, tensor(field)),
-            sigma=sigma,
-            name=name,
-        )
-        for name, field, sigma in (("a", GRAVITY, ACCELEROMETER), ("m", NORTH, COMPASS))
-    ]
-    return Filter(motion, tuple(sensors), linearise=linearise)  # type: ignore[arg-type]
+    fields = {"a": GRAVITY, "m": NORTH}
+    return attitude(fields, GYRO, (ACCELEROMETER, COMPASS), linearise)
 
 
 def cross(v: np.ndarray) -> np.ndarray:
