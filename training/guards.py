@@ -125,7 +125,7 @@ def written(options: argparse.Namespace) -> Path:
     report.table("what a guarantee costs", list(rows[0]), [list(row.values()) for row in rows])
     for name, one in data.items():
         report.heading(name)
-        head = ["member", "published", *SETS, "NEES per state, guarded"]
+        head = ["member", "published RMSE", *SETS, "NEES per state, guarded"]
         body = [
             [member, one["published"][member], *(shown(one, label, member) for label in SETS),
              one["sets"][GUARDED][member]["nees_per_state"]]
@@ -138,7 +138,7 @@ def written(options: argparse.Namespace) -> Path:
 
 def summary(name: str, one: dict[str, Any]) -> dict[str, Any]:
     """A scenario's row."""
-    row: dict[str, Any] = {"values": name, "published": one["published"][BASE]}
+    row: dict[str, Any] = {"values": name, "published RMSE": one["published"][BASE]}
     for label in SETS:
         member, worst = worst_of(one, label)
         row[f"{label}: own world"] = shown(one, label, BASE)
