@@ -163,6 +163,7 @@ from difffilter.tuning.loop import TuneResult as TuneResult
 from difffilter.tuning.loop import tune as tune
 from difffilter.tuning.maximisation import Maximum as Maximum
 from difffilter.tuning.maximisation import expectation_maximisation as expectation_maximisation
+from difffilter.tuning.told import told_tuned as told_tuned
 from difffilter.verdict.contests import Contender as Contender
 from difffilter.verdict.contests import Course as Course
 from difffilter.verdict.contests import contenders as contenders

@@ -23,11 +23,11 @@ import torch
 import difffilter as df
 from difffilter.files import json_text, write_atomically
 from difffilter.reports.report import Report
-from difffilter.scenario.checkpoint import save
-from difffilter.scenario.worlds import BASE
-from difffilter.tuning.told import told_tuned
 from difffilter.verdict.guarantee import FAMILY, GUARDED, ONE, SETS, guarantee
 from training.common import QUICK, ROOT, Stages
+
+#: The scenario's own world among the members of its family.
+BASE = "base"
 
 #: Scenario and overrides by the name of the shipped values.
 SCENARIOS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -90,8 +90,8 @@ def measured(name: str, options: argparse.Namespace) -> dict[str, Any]:
     checkpoint = replace(shipped, scenario=scenario)
     found = guarantee(checkpoint, count, options.seed + 2)
     guarded = replace(checkpoint, values=found.values[GUARDED])
-    save(guarded, options.out / "values" / f"{name}.json")
-    told = told_tuned(scenario, options.seed)
+    df.save(guarded, options.out / "values" / f"{name}.json")
+    told = df.told_tuned(scenario, options.seed)
     values = {"published": None, "guarded": guarded, **{f"told {n}": c for n, c in told.items()}}
     systems = (checkpoint.system, *told)
     table = df.compare(scenario, values, count, options.seed + 2, systems=systems)
