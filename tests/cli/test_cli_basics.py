@@ -111,6 +111,7 @@ def step(self, *args):
         signal.raise_signal(signal.SIGINT)
     return original(self, *args)
 Descent._step = step
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run behind
 sys.exit(main(sys.argv[1:]))
 """
 
